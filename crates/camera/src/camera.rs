@@ -1,0 +1,152 @@
+//! A camera: a lens model with its parameters and the size of its image.
+
+use boresight_geometry::Vector3;
+
+use crate::registry::{Model, ModelVisitor};
+use crate::{CameraModel, ParamGroup};
+
+/// What can be wrong with a camera.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// No lens model has this name.
+    #[error("there is no lens model `{name}`; known: {}", known.join(", "))]
+    UnknownModel {
+        /// The name asked for.
+        name: String,
+        /// The names that exist.
+        known: Vec<&'static str>,
+    },
+    /// The number of parameters is not the model's.
+    #[error("lens model {model} takes {need} parameters, {found} are given")]
+    ParamCount {
+        /// The model's name.
+        model: &'static str,
+        /// How many were given.
+        found: usize,
+        /// How many it takes.
+        need: usize,
+    },
+    /// A parameter has a value that no lens has.
+    #[error("parameter {name} of lens model {model} is {value}: {need}")]
+    BadParam {
+        /// The model's name.
+        model: &'static str,
+        /// The parameter's name.
+        name: &'static str,
+        /// The value given.
+        value: f64,
+        /// What it must be.
+        need: &'static str,
+    },
+}
+
+/// A lens model, its parameters and its image size.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Camera {
+    /// The lens model.
+    pub model: Model,
+    /// The parameters, in the model's order: `fx, fy, cx, cy` first.
+    pub params: Vec<f64>,
+    /// Width and height of the image in pixels.
+    pub image_size: [u32; 2],
+}
+
+impl Camera {
+    /// Returns the camera, after checking number and values of the parameters.
+    pub fn new(model: Model, params: Vec<f64>, image_size: [u32; 2]) -> Result<Self, Error> {
+        let names = model.param_names();
+        if params.len() != names.len() {
+            return Err(Error::ParamCount { model: model.name(), found: params.len(), need: names.len() });
+        }
+        for (i, (&name, &value)) in names.iter().zip(&params).enumerate() {
+            let bad = |need| Error::BadParam { model: model.name(), name, value, need };
+            if !value.is_finite() {
+                return Err(bad("it must be finite"));
+            }
+            if i < 2 && value <= 0.0 {
+                return Err(bad("a focal length must be positive"));
+            }
+        }
+        Ok(Self { model, params, image_size })
+    }
+
+    /// Returns the pixel that sees `point_in_cam`, or `None` outside the model's domain.
+    pub fn project(&self, point_in_cam: &Vector3<f64>) -> Option<[f64; 2]> {
+        struct Project<'a>(&'a [f64], [f64; 3]);
+        impl ModelVisitor for Project<'_> {
+            type Output = Option<[f64; 2]>;
+            fn visit<M: CameraModel>(self, model: M) -> Self::Output {
+                model.project(self.0, self.1)
+            }
+        }
+        self.model.visit(Project(&self.params, (*point_in_cam).into()))
+    }
+
+    /// Returns the unit direction in the camera frame that `pixel` sees, or `None` if there is none.
+    pub fn unproject(&self, pixel: [f64; 2]) -> Option<Vector3<f64>> {
+        struct Unproject<'a>(&'a [f64], [f64; 2]);
+        impl ModelVisitor for Unproject<'_> {
+            type Output = Option<[f64; 3]>;
+            fn visit<M: CameraModel>(self, model: M) -> Self::Output {
+                model.unproject(self.0, self.1)
+            }
+        }
+        self.model.visit(Unproject(&self.params, pixel)).map(|ray| Vector3::from(ray).normalize())
+    }
+
+    /// Returns the largest angle off axis, in radians, up to which the lens is one-to-one.
+    pub fn monotonic_limit(&self) -> Option<f64> {
+        struct Limit<'a>(&'a [f64]);
+        impl ModelVisitor for Limit<'_> {
+            type Output = Option<f64>;
+            fn visit<M: CameraModel>(self, model: M) -> Self::Output {
+                model.monotonic_limit(self.0)
+            }
+        }
+        self.model.visit(Limit(&self.params))
+    }
+}
+
+impl Model {
+    /// Returns the number of parameters, the core included.
+    pub fn param_count(&self) -> usize {
+        self.param_names().len()
+    }
+
+    /// Returns the name of each parameter.
+    pub fn param_names(&self) -> Vec<&'static str> {
+        struct Names;
+        impl ModelVisitor for Names {
+            type Output = Vec<&'static str>;
+            fn visit<M: CameraModel>(self, model: M) -> Self::Output {
+                model.param_names()
+            }
+        }
+        self.visit(Names)
+    }
+
+    /// Returns what each parameter is for.
+    pub fn param_groups(&self) -> Vec<ParamGroup> {
+        struct Groups;
+        impl ModelVisitor for Groups {
+            type Output = Vec<ParamGroup>;
+            fn visit<M: CameraModel>(self, model: M) -> Self::Output {
+                model.param_groups()
+            }
+        }
+        self.visit(Groups)
+    }
+
+    /// Returns the parameters of the lens without distortion, for the core `[fx, fy, cx, cy]`.
+    pub fn undistorted(&self, core: [f64; 4]) -> Vec<f64> {
+        struct Undistorted([f64; 4]);
+        impl ModelVisitor for Undistorted {
+            type Output = Vec<f64>;
+            fn visit<M: CameraModel>(self, model: M) -> Self::Output {
+                model.undistorted(self.0)
+            }
+        }
+        self.visit(Undistorted(core))
+    }
+}

@@ -1,0 +1,21 @@
+//! Lens models: project, unproject, differentiate, name.
+//!
+//! A lens model is a plug: one file that implements [`CameraModel`], and one line in [`registry`].
+//! Camera axes are x right, y down, z forward; pixel (0, 0) is the centre of the top-left pixel.
+//!
+//! Architecture invariant: no lens knows a solver, a file or a dataset.
+
+mod camera;
+#[cfg(test)]
+mod conformance;
+pub mod kannala_brandt4;
+mod model;
+pub mod opencv;
+pub mod pinhole;
+pub mod registry;
+mod roots;
+pub mod textbook;
+
+pub use camera::{Camera, Error};
+pub use model::{CameraModel, MAX_PARAMS, ParamGroup};
+pub use registry::{Model, ModelVisitor};

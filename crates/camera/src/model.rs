@@ -1,0 +1,126 @@
+//! The lens plug: what a lens model must say, and what it gets for that.
+
+use boresight_geometry::{Dual, Scalar};
+
+/// The largest number of parameters of a model that is differentiated through dual numbers.
+pub const MAX_PARAMS: usize = 16;
+
+/// What a lens parameter is for; regularisation and reports go by it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ParamGroup {
+    /// `fx` or `fy`, in pixels.
+    Focal,
+    /// `cx` or `cy`, in pixels.
+    Centre,
+    /// A radial coefficient.
+    Radial,
+    /// A coefficient in a radial polynomial's denominator, or one that trades against it.
+    Rational,
+    /// A tangential (decentring) coefficient.
+    Tangential,
+    /// A thin-prism coefficient.
+    ThinPrism,
+    /// A tilt of the sensor, in radians.
+    Tilt,
+}
+
+/// A central lens model: from a point in the camera frame to a pixel.
+///
+/// Every model begins with the core `fx, fy, cx, cy`, and its pixel is `(fx * x + cx, fy * y + cy)`
+/// of some image-plane point `(x, y)` that depends on the other ("lens") parameters and the point.
+/// The conformance suite holds every registered model to this.
+pub trait CameraModel: Copy + Send + Sync + 'static {
+    /// The name in files and on the command line.
+    const NAME: &'static str;
+
+    /// Returns the number of parameters, the core included.
+    fn param_count(&self) -> usize;
+
+    /// Returns the name of each parameter, as its own community writes it.
+    fn param_names(&self) -> Vec<&'static str>;
+
+    /// Returns what each parameter is for.
+    fn param_groups(&self) -> Vec<ParamGroup>;
+
+    /// Returns the pixel that sees `point_in_cam`, or `None` outside the model's domain
+    /// (for SIMD lanes: when any lane is outside).
+    fn project<T: Scalar>(&self, params: &[T], point_in_cam: [T; 3]) -> Option<[T; 2]>;
+
+    /// Returns the pixel as [`project`](Self::project) does, and its derivatives.
+    ///
+    /// `d_point[row][axis]` is the derivative of pixel coordinate `row` by the point;
+    /// `d_lens[row][i]` that by the lens parameter `4 + i`. Derivatives by the core are the
+    /// caller's: they follow from the pixel. Dual numbers provide this; a closed form is an override.
+    #[inline(always)]
+    fn linearize<T: Scalar>(
+        &self,
+        params: &[f64],
+        point_in_cam: [T; 3],
+        d_point: &mut [[T; 3]; 2],
+        d_lens: [&mut [T]; 2],
+    ) -> Option<[T; 2]> {
+        linearize_with_duals(self, params, point_in_cam, d_point, d_lens)
+    }
+
+    /// Returns a point in the camera frame on the ray that `pixel` sees, in no particular length,
+    /// or `None` if no ray of the model's domain projects there.
+    fn unproject(&self, params: &[f64], pixel: [f64; 2]) -> Option<[f64; 3]>;
+
+    /// Returns the largest angle off the optical axis, in radians, up to which the radial part of
+    /// the model is one-to-one: the image radius still grows with the angle. `None` is unlimited
+    /// within the model's own domain.
+    fn monotonic_limit(&self, params: &[f64]) -> Option<f64>;
+
+    /// Returns the parameters with which the lens is free of distortion (or as near as it goes),
+    /// for the core `[fx, fy, cx, cy]`.
+    fn undistorted(&self, core: [f64; 4]) -> Vec<f64>;
+
+    /// Returns instances with realistic parameters for a 1600x1200 image; the conformance suite runs on each.
+    fn examples() -> Vec<(Self, Vec<f64>)>;
+}
+
+/// Differentiates a model's projection through dual numbers, four directions at a time.
+#[inline(always)]
+pub(crate) fn linearize_with_duals<M: CameraModel, T: Scalar>(
+    model: &M,
+    params: &[f64],
+    point_in_cam: [T; 3],
+    d_point: &mut [[T; 3]; 2],
+    d_lens: [&mut [T]; 2],
+) -> Option<[T; 2]> {
+    const LANES: usize = 4;
+    let [d_lens_u, d_lens_v] = d_lens;
+    let n_directions = 3 + d_lens_u.len();
+    let mut pixel = [point_in_cam[0]; 2];
+    let mut dual_params = [Dual::<T, LANES>::fixed(point_in_cam[0].like(0.0)); MAX_PARAMS];
+    let dual_params = &mut dual_params[..params.len()];
+    for first in (0..n_directions).step_by(LANES) {
+        for (i, (dual, &param)) in dual_params.iter_mut().zip(params).enumerate() {
+            let param = point_in_cam[0].like(param);
+            *dual = if i < 4 { Dual::fixed(param) } else { seeded(param, 3 + i - 4, first) };
+        }
+        let [x, y, z] = point_in_cam;
+        let point = [seeded(x, 0, first), seeded(y, 1, first), seeded(z, 2, first)];
+        let [u, v] = model.project(dual_params, point)?;
+        pixel = [u.value, v.value];
+        for lane in 0..LANES.min(n_directions - first) {
+            let (du, dv) = (u.derivative[lane], v.derivative[lane]);
+            let direction = first + lane;
+            match direction.checked_sub(3) {
+                None => (d_point[0][direction], d_point[1][direction]) = (du, dv),
+                Some(i) => (d_lens_u[i], d_lens_v[i]) = (du, dv),
+            }
+        }
+    }
+    Some(pixel)
+}
+
+/// Returns a variable if `direction` is among the `N` from `first` on, else a constant.
+#[inline(always)]
+fn seeded<T: Scalar, const N: usize>(value: T, direction: usize, first: usize) -> Dual<T, N> {
+    if direction >= first && direction < first + N {
+        Dual::variable(value, direction - first)
+    } else {
+        Dual::fixed(value)
+    }
+}

@@ -1,0 +1,78 @@
+//! The registry of lens models: one line each.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::{CameraModel, Error};
+
+/// An action on a lens model whose type is known: dispatch happens once, outside the loops.
+pub trait ModelVisitor {
+    /// What the action returns.
+    type Output;
+
+    /// Acts on `model`.
+    fn visit<M: CameraModel>(self, model: M) -> Self::Output;
+}
+
+macro_rules! camera_models {
+    ($($variant:ident => $model:ty),* $(,)?) => {
+        /// A lens model of the registry.
+        #[derive(Clone, Copy, Debug, PartialEq)]
+        pub enum Model {
+            $(#[doc = concat!("See [`", stringify!($model), "`].")] $variant($model),)*
+        }
+
+        impl Model {
+            /// Returns the names of all registered models.
+            pub fn names() -> Vec<&'static str> {
+                vec![$(<$model as CameraModel>::NAME),*]
+            }
+
+            /// Returns the name of this model.
+            pub fn name(&self) -> &'static str {
+                match self { $(Model::$variant(_) => <$model as CameraModel>::NAME,)* }
+            }
+
+            /// Calls the visitor with the model's own type.
+            #[inline(always)]
+            pub fn visit<V: ModelVisitor>(self, visitor: V) -> V::Output {
+                match self { $(Model::$variant(model) => visitor.visit(model),)* }
+            }
+        }
+
+        impl FromStr for Model {
+            type Err = Error;
+
+            fn from_str(name: &str) -> Result<Self, Error> {
+                $(if name == <$model as CameraModel>::NAME { return Ok(Model::$variant(Default::default())); })*
+                Err(Error::UnknownModel { name: name.to_owned(), known: Model::names() })
+            }
+        }
+
+        #[cfg(test)]
+        mod conformance {
+            $(
+                #[expect(non_snake_case, reason = "the tests of a model bear its name")]
+                mod $variant {
+                    crate::conformance::conformance_tests!($model);
+                }
+            )*
+        }
+    };
+}
+
+camera_models! {
+    Pinhole => crate::pinhole::Pinhole,
+    OpenCv4 => crate::opencv::OpenCv<4>,
+    OpenCv5 => crate::opencv::OpenCv<5>,
+    OpenCv8 => crate::opencv::OpenCv<8>,
+    OpenCv12 => crate::opencv::OpenCv<12>,
+    OpenCv14 => crate::opencv::OpenCv<14>,
+    KannalaBrandt4 => crate::kannala_brandt4::KannalaBrandt4,
+}
+
+impl fmt::Display for Model {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
