@@ -1,0 +1,24 @@
+//! The vocabulary: targets, views, datasets, rigs, scenes, calibrations.
+//!
+//! [`Dataset`] is what was seen and is never mutated; [`Scene`] is what is believed, whether as a
+//! seed, a solution or a truth; [`Calibration`] is a scene together with how good it is and what it
+//! came from. Metres, radians, pixels and nanoseconds.
+//!
+//! Architecture invariant: these are plain values. Nothing here computes a calibration or touches a file.
+
+mod calibration;
+mod dataset;
+mod finding;
+mod ids;
+mod scene;
+mod target;
+
+pub use calibration::{
+    Calibration, CameraFit, Provenance, Regularization, Rejection, RejectionReason, SolveRecord, Uncertainty,
+    ViewFit,
+};
+pub use dataset::{CameraInfo, Dataset, Frame, Observation, View};
+pub use finding::{Finding, Severity};
+pub use ids::{CameraId, FrameId, Id, IdVec, PointId, TargetId};
+pub use scene::{Mount, Rig, RigCamera, Robot, Scene, TargetBelief, TargetMount};
+pub use target::{Geometry, Shape, Target};
