@@ -1,0 +1,194 @@
+//! Levenberg-Marquardt as an argmin solver over our own state.
+//!
+//! Gain-ratio damping after Nielsen 1999 with a floor, Marquardt's scaling by the diagonal. Rejected
+//! steps are retried within an iteration, so the cost never rises from one to the next.
+
+use std::sync::atomic::Ordering;
+
+use argmin::core::{IterState, KV, Solver, State as _, TerminationReason};
+use argmin::kv;
+
+use crate::Error;
+use crate::linearization::{Linearization, Threads};
+use crate::options::SolveOptions;
+use crate::problem::Problem;
+use crate::step::StepSolver;
+use crate::stop::Stop;
+use crate::structure::Structure;
+
+/// Damping below this changes nothing but makes the next rejections come in bursts.
+const LEAST_DAMPING: f64 = 1e-12;
+
+/// The most that a perfect step lowers the damping by.
+const LEAST_SHRINK: f64 = 0.1;
+
+/// Damping beyond this means that no step, however short, lowers the cost.
+const MOST_DAMPING: f64 = 1e12;
+
+/// A root mean square residual below this is met exactly, in units of sigma.
+const EXACT_RMS: f64 = 1e-11;
+
+/// A predicted decrease below this share of the cost is lost in its rounding.
+const ROUNDING: f64 = 1e-14;
+
+/// The state that argmin carries: all values of all blocks, and the cost.
+pub(crate) type State = IterState<Vec<f64>, (), (), (), (), f64>;
+
+/// What happened on the way; after a resume, since then.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Steps taken.
+    pub iterations: usize,
+    /// Evaluations of all terms.
+    pub evaluations: usize,
+    /// Factorizations of the reduced system.
+    pub factorizations: usize,
+    /// Steps refused because the cost rose, a term was not defined, or the system was not positive definite.
+    pub rejected_steps: usize,
+}
+
+/// The search.
+pub(crate) struct LevenbergMarquardt<'a> {
+    options: &'a SolveOptions,
+    structure: Structure,
+    threads: Threads,
+    model: Linearization,
+    trial: Linearization,
+    steps: StepSolver,
+    trial_values: Vec<f64>,
+    /// The damping of the next step.
+    pub damping: f64,
+    /// What the damping grows by when that step is rejected.
+    pub growth: f64,
+    pub stop: Option<Stop>,
+    pub counters: Counters,
+}
+
+impl<'a> LevenbergMarquardt<'a> {
+    /// Returns a search from `values`, where the model is evaluated.
+    pub(crate) fn new(
+        problem: &Problem<'_>,
+        values: &[f64],
+        threads: Threads,
+        options: &'a SolveOptions,
+    ) -> Result<Self, Error> {
+        let structure = Structure::new(problem);
+        let mut search = Self {
+            options,
+            threads,
+            model: Linearization::new(&structure),
+            trial: Linearization::new(&structure),
+            steps: StepSolver::new(&structure),
+            trial_values: Vec::with_capacity(values.len()),
+            structure,
+            damping: options.first_damping,
+            growth: 2.0,
+            stop: None,
+            counters: Counters::default(),
+        };
+        search.move_to(problem, values)?;
+        Ok(search)
+    }
+
+    /// Evaluates the model at `values`, from where the next step is taken.
+    pub(crate) fn move_to(&mut self, problem: &Problem<'_>, values: &[f64]) -> Result<(), Error> {
+        self.counters.evaluations += 1;
+        self.model
+            .evaluate(problem, &self.structure, values, &self.threads)
+            .map_err(|term_idx| Error::UndefinedStart { term_idx })
+    }
+
+    /// Returns the cost of the model.
+    pub(crate) fn cost(&self) -> f64 {
+        self.model.cost()
+    }
+
+    /// Takes one step, trying shorter ones until the cost falls, or finds why there is none.
+    fn step(&mut self, problem: &Problem<'_>, values: &mut Vec<f64>) -> Result<f64, Stop> {
+        let Self { structure, threads, model, trial, steps, trial_values, .. } = self;
+        let n_rows = problem.observation_rows();
+        let degrees_of_freedom = n_rows.saturating_sub(problem.parameters.free_count()).max(1);
+        let cost = model.cost();
+        let rms = (cost / n_rows.max(1) as f64).sqrt();
+        if rms < EXACT_RMS {
+            return Err(Stop::Exact { rms, below: EXACT_RMS });
+        }
+        let below = self.options.decrease_below * model.observation_cost / degrees_of_freedom as f64;
+        loop {
+            if let Some(cancel) = &self.options.cancel
+                && cancel.load(Ordering::Relaxed)
+            {
+                return Err(Stop::Cancelled);
+            }
+            if self.damping > MOST_DAMPING {
+                return Err(Stop::NoStep { damping: self.damping, above: MOST_DAMPING });
+            }
+            self.counters.factorizations += 1;
+            if steps.factor(structure, model, self.damping, threads) {
+                steps.solve(problem, structure, model, self.damping);
+                let predicted = steps.predicted_decrease;
+                problem.parameters.retract(values, &steps.step, trial_values);
+                // A heavily damped step predicts little without being near the optimum.
+                if predicted <= below && self.damping <= 1.0 {
+                    std::mem::swap(values, trial_values);
+                    return Err(Stop::PredictedDecrease { predicted, below });
+                }
+                self.counters.evaluations += 1;
+                if trial.evaluate(problem, structure, trial_values, threads).is_ok() {
+                    let decrease = cost - trial.cost();
+                    if decrease > 0.0 {
+                        let gain = decrease / predicted;
+                        let shrink = (1.0 - (2.0 * gain - 1.0).powi(3)).max(LEAST_SHRINK);
+                        self.damping = (self.damping * shrink).max(LEAST_DAMPING);
+                        self.growth = 2.0;
+                        std::mem::swap(model, trial);
+                        std::mem::swap(values, trial_values);
+                        return Ok(predicted);
+                    }
+                    if predicted <= ROUNDING * cost {
+                        return Err(Stop::Rounding { predicted, below: ROUNDING * cost });
+                    }
+                }
+            }
+            self.counters.rejected_steps += 1;
+            self.damping *= self.growth;
+            self.growth *= 2.0;
+        }
+    }
+}
+
+impl<'p> Solver<&'p Problem<'p>, State> for LevenbergMarquardt<'_> {
+    fn name(&self) -> &str {
+        "Levenberg-Marquardt"
+    }
+
+    fn next_iter(
+        &mut self,
+        problem: &mut argmin::core::Problem<&'p Problem<'p>>,
+        mut state: State,
+    ) -> Result<(State, Option<KV>), argmin::core::Error> {
+        let problem = problem.problem.as_ref().ok_or_else(|| argmin::core::Error::msg("the problem is gone"))?;
+        let mut values = state.take_param().ok_or_else(|| argmin::core::Error::msg("the state has no values"))?;
+        let outcome = self.step(problem, &mut values);
+        let cost = self.cost();
+        let (taken, cost) = match outcome {
+            Ok(predicted) => (Some(predicted), cost),
+            // The last step is taken without another evaluation; the model says where it leads.
+            Err(Stop::PredictedDecrease { predicted, .. }) => (Some(predicted), cost - predicted),
+            Err(_) => (None, cost),
+        };
+        let kv = taken.map(|predicted| {
+            self.counters.iterations += 1;
+            kv!("damping" => self.damping; "predicted_decrease" => predicted;)
+        });
+        let state = state.param(values).cost(cost);
+        let Err(stop) = outcome else { return Ok((state, kv)) };
+        let reason = match stop {
+            Stop::Cancelled => TerminationReason::Interrupt,
+            _ if stop.is_converged() => TerminationReason::SolverConverged,
+            _ => TerminationReason::SolverExit(stop.to_string()),
+        };
+        self.stop = Some(stop);
+        Ok((state.terminate_with(reason), kv))
+    }
+}

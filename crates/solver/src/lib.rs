@@ -1,0 +1,35 @@
+//! Sparse Levenberg-Marquardt on manifolds, and the covariance at the optimum.
+//!
+//! A [`Problem`] is parameter blocks and [`Term`]s. A term reports `[J r]ᵀ [J r]` over its blocks;
+//! J itself is never formed. Blocks marked [`Elimination::First`] are eliminated by their Schur
+//! complement, the rest is factored by faer. Results do not depend on the number of threads.
+//!
+//! Architecture invariant: the solver does not know what a camera is.
+
+mod checkpoint;
+mod covariance;
+mod error;
+pub mod gram;
+pub mod lanes;
+mod levenberg_marquardt;
+mod linearization;
+mod options;
+mod prior;
+mod problem;
+mod reduced;
+mod solve;
+mod step;
+mod stop;
+mod structure;
+
+pub use covariance::{Covariance, covariance};
+pub use error::Error;
+pub use levenberg_marquardt::Counters;
+pub use options::{Checkpointing, Observer, Progress, SolveOptions};
+pub use prior::{PosePrior, VectorPrior};
+pub use problem::{
+    BlockId, Elimination, GramMut, Parameters, Problem, Scratch, Term, TermKind, Values,
+};
+pub use pulp;
+pub use solve::{Solution, solve, solve_observed};
+pub use stop::Stop;

@@ -1,0 +1,257 @@
+//! What the solver works out once: which column is where, and which terms are evaluated together.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use crate::problem::{Elimination, POSE_COLUMNS, Problem};
+
+/// Marks a column that is held fixed.
+pub(crate) const HELD: u32 = u32::MAX;
+
+/// The parts of the work that threads take one at a time. Their number depends on the problem only,
+/// so that sums are always formed in the same order.
+const MAX_CHUNKS: usize = 16;
+
+/// Beyond this many numbers, partial sums of the reduced system take fewer chunks instead of more memory.
+const MAX_PARTIAL_SUM: usize = 8 << 20;
+
+/// Where everything of a problem is.
+#[derive(Debug)]
+pub(crate) struct Structure {
+    /// For each block, the first of its tangent columns in a full step.
+    pub first_column: Vec<usize>,
+    /// The number of all tangent columns, held ones included.
+    pub n_columns: usize,
+    /// For each block, the reduced column of each tangent column, or `HELD`. Empty for eliminated blocks.
+    pub reduced_columns: Vec<Vec<u32>>,
+    /// The number of reduced columns.
+    pub n_reduced: usize,
+    /// The distinct lists of reduced blocks that terms see; sums over terms of one list are kept together.
+    pub signatures: Vec<Signature>,
+    /// The terms, each with the place of its columns, in the order of evaluation.
+    pub terms: Vec<TermPlace>,
+    /// Terms that share an eliminated block, or a single term without one.
+    pub groups: Vec<Group>,
+    /// The groups that are worked on together.
+    pub chunks: Vec<Range<usize>>,
+    /// The chunks over which the Schur complement is summed.
+    pub schur_chunks: Vec<Range<usize>>,
+}
+
+/// A list of reduced blocks that some terms see.
+#[derive(Debug)]
+pub(crate) struct Signature {
+    /// For each column of the list's blocks, the reduced column or `HELD`.
+    pub columns: Vec<u32>,
+}
+
+/// Where a term's columns belong.
+#[derive(Debug)]
+pub(crate) struct TermPlace {
+    /// The term, as an index into the problem's.
+    pub term_idx: usize,
+    pub signature: usize,
+    /// The columns of the eliminated block among the term's, if it has one.
+    pub eliminated: Option<Range<usize>>,
+    /// The number of the term's columns.
+    pub n_columns: usize,
+    /// Where its free reduced columns are in the group's coupling.
+    pub coupling: Vec<CouplingRun>,
+}
+
+/// Consecutive columns of a term that are consecutive in its group's coupling.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct CouplingRun {
+    /// The first, among the term's columns.
+    pub column: usize,
+    /// Where it is in the coupling.
+    pub place: usize,
+    pub length: usize,
+}
+
+/// Terms that share an eliminated block.
+#[derive(Debug)]
+pub(crate) struct Group {
+    pub eliminated: Option<usize>,
+    /// Its terms, as a range of [`Structure::terms`].
+    pub terms: Range<usize>,
+    /// The reduced columns that the eliminated block is coupled with, in increasing order.
+    pub columns: Vec<u32>,
+    /// Maximal runs of consecutive reduced columns: (first position in `columns`, reduced column, length).
+    pub runs: Vec<(usize, usize, usize)>,
+}
+
+impl Structure {
+    pub(crate) fn new(problem: &Problem<'_>) -> Self {
+        let blocks = &problem.parameters.blocks;
+        let mut first_column = Vec::with_capacity(blocks.len());
+        let mut reduced_columns = Vec::with_capacity(blocks.len());
+        let (mut n_columns, mut n_reduced) = (0, 0);
+        for block in blocks {
+            first_column.push(n_columns);
+            n_columns += block.n_columns;
+            let mut columns = Vec::new();
+            if block.elimination == Elimination::Reduced {
+                for &held in &block.held {
+                    columns.push(if held { HELD } else { n_reduced });
+                    n_reduced += u32::from(!held);
+                }
+            }
+            reduced_columns.push(columns);
+        }
+        let mut structure = Self {
+            first_column,
+            n_columns,
+            reduced_columns,
+            n_reduced: n_reduced as usize,
+            signatures: Vec::new(),
+            terms: Vec::new(),
+            groups: Vec::new(),
+            chunks: Vec::new(),
+            schur_chunks: Vec::new(),
+        };
+        structure.place_terms(problem);
+        structure.cut_chunks(problem);
+        structure
+    }
+
+    /// Groups terms by eliminated block, in the order in which the blocks are first seen.
+    fn place_terms(&mut self, problem: &Problem<'_>) {
+        let blocks = &problem.parameters.blocks;
+        let is_eliminated = |block: usize| blocks[block].elimination == Elimination::First;
+        let mut members: Vec<(Option<usize>, Vec<usize>)> = Vec::new();
+        let mut group_of_block = BTreeMap::new();
+        for (term_idx, term) in problem.terms.iter().enumerate() {
+            match term.blocks().iter().map(|block| block.0).find(|&block| is_eliminated(block)) {
+                Some(block) => {
+                    let group = *group_of_block.entry(block).or_insert(members.len());
+                    if group == members.len() {
+                        members.push((Some(block), Vec::new()));
+                    }
+                    members[group].1.push(term_idx);
+                }
+                None => members.push((None, vec![term_idx])),
+            }
+        }
+        let mut signature_of: BTreeMap<Vec<usize>, usize> = BTreeMap::new();
+        for (eliminated, term_idxs) in members {
+            let reduced_blocks = |term_idx: usize| {
+                problem.terms[term_idx].blocks().iter().map(|block| block.0).filter(|&block| !is_eliminated(block))
+            };
+            let mut columns: Vec<u32> = Vec::new();
+            if eliminated.is_some() {
+                for block in term_idxs.iter().flat_map(|&term_idx| reduced_blocks(term_idx)) {
+                    columns.extend(self.reduced_columns[block].iter().filter(|&&column| column != HELD));
+                }
+                columns.sort_unstable();
+                columns.dedup();
+            }
+            let first_term = self.terms.len();
+            for term_idx in term_idxs {
+                let list: Vec<usize> = reduced_blocks(term_idx).collect();
+                let signature_columns: Vec<u32> =
+                    list.iter().flat_map(|&block| &self.reduced_columns[block]).copied().collect();
+                let signature = *signature_of.entry(list).or_insert_with(|| {
+                    self.signatures.push(Signature { columns: signature_columns });
+                    self.signatures.len() - 1
+                });
+                let mut coupling: Vec<CouplingRun> = Vec::new();
+                let mut eliminated_columns = None;
+                let mut n_columns = 0;
+                for block in problem.terms[term_idx].blocks() {
+                    let end = n_columns + blocks[block.0].n_columns;
+                    if is_eliminated(block.0) {
+                        eliminated_columns = Some(n_columns..end);
+                    } else if eliminated.is_some() {
+                        for (k, column) in self.reduced_columns[block.0].iter().enumerate() {
+                            if let Ok(place) = columns.binary_search(column) {
+                                extend(&mut coupling, n_columns + k, place);
+                            }
+                        }
+                    }
+                    n_columns = end;
+                }
+                self.terms.push(TermPlace { term_idx, signature, eliminated: eliminated_columns, n_columns, coupling });
+            }
+            let runs = runs(&columns);
+            self.groups.push(Group { eliminated, terms: first_term..self.terms.len(), columns, runs });
+        }
+    }
+
+    /// Cuts the groups into chunks of about equal work.
+    fn cut_chunks(&mut self, problem: &Problem<'_>) {
+        let rows = |group: &Group| -> usize {
+            self.terms[group.terms.clone()].iter().map(|term| problem.terms[term.term_idx].row_count() + 16).sum()
+        };
+        let weights: Vec<usize> = self.groups.iter().map(rows).collect();
+        self.chunks = cut(&weights, MAX_CHUNKS);
+        let weights: Vec<usize> =
+            self.groups.iter().map(|group| group.columns.len() * group.columns.len() + 100).collect();
+        let n_sums = (MAX_PARTIAL_SUM / (self.n_reduced * self.n_reduced).max(1)).clamp(2, MAX_CHUNKS / 2);
+        self.schur_chunks = cut(&weights, n_sums);
+    }
+
+    /// Returns the number of columns of the eliminated block of a group.
+    pub(crate) const fn eliminated_columns() -> usize {
+        POSE_COLUMNS
+    }
+}
+
+/// Adds a column to the last run if it continues that, else begins a new one.
+fn extend(runs: &mut Vec<CouplingRun>, column: usize, place: usize) {
+    match runs.last_mut() {
+        Some(run) if run.column + run.length == column && run.place + run.length == place => run.length += 1,
+        _ => runs.push(CouplingRun { column, place, length: 1 }),
+    }
+}
+
+/// Returns the maximal runs of consecutive numbers in a sorted list.
+fn runs(columns: &[u32]) -> Vec<(usize, usize, usize)> {
+    let mut runs: Vec<(usize, usize, usize)> = Vec::new();
+    for (position, &column) in columns.iter().enumerate() {
+        match runs.last_mut() {
+            Some((_, first, length)) if *first + *length == column as usize => *length += 1,
+            _ => runs.push((position, column as usize, 1)),
+        }
+    }
+    runs
+}
+
+/// Cuts a list into at most `n_parts` contiguous parts of about equal weight.
+fn cut(weights: &[usize], n_parts: usize) -> Vec<Range<usize>> {
+    let total: usize = weights.iter().sum();
+    let mut parts = Vec::new();
+    let (mut start, mut sum) = (0, 0);
+    for (idx, weight) in weights.iter().enumerate() {
+        sum += weight;
+        if sum * n_parts >= total * (parts.len() + 1) {
+            parts.push(start..idx + 1);
+            start = idx + 1;
+        }
+    }
+    if start < weights.len() {
+        parts.push(start..weights.len());
+    }
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cuts_cover_everything_once() {
+        for (weights, n_parts) in [(vec![1; 100], 16), (vec![5], 16), (vec![], 4), (vec![0, 0, 7, 0], 3), (vec![9, 1, 1], 2)] {
+            let parts = cut(&weights, n_parts);
+            let covered: Vec<usize> = parts.iter().cloned().flatten().collect();
+            assert_eq!(covered, (0..weights.len()).collect::<Vec<_>>());
+            assert!(parts.len() <= n_parts.max(1), "{parts:?}");
+        }
+    }
+
+    #[test]
+    fn runs_are_maximal() {
+        assert_eq!(runs(&[0, 1, 2, 5, 6, 9]), [(0, 0, 3), (3, 5, 2), (5, 9, 1)]);
+        assert_eq!(runs(&[]), []);
+    }
+}
