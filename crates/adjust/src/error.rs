@@ -1,0 +1,64 @@
+//! What can keep a dataset from being adjusted.
+
+use boresight_data::{CameraId, FrameId, TargetId};
+
+/// Why a dataset was not adjusted.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The seed has no camera at all.
+    #[error("no camera has a seed; {views} views are left out")]
+    NoCamera {
+        /// The number of views in the dataset.
+        views: usize,
+    },
+    /// The seed is of another dataset.
+    #[error("the seed has {found} {what}, the dataset has {need}")]
+    SeedMismatch {
+        /// What is counted.
+        what: &'static str,
+        /// How many the seed has.
+        found: usize,
+        /// How many the dataset has.
+        need: usize,
+    },
+    /// A view names something that the dataset does not have.
+    #[error("view {view_idx} names camera {camera}, frame {frame}, target {target}; one of them does not exist")]
+    DanglingView {
+        /// The view.
+        view_idx: usize,
+        /// Its camera.
+        camera: CameraId,
+        /// Its frame.
+        frame: FrameId,
+        /// Its target.
+        target: TargetId,
+    },
+    /// An observation has a sigma that is not positive.
+    #[error("observation {observation_idx} of view {view_idx} has a sigma of {sigma_px} px; it must be positive")]
+    BadSigma {
+        /// The view.
+        view_idx: usize,
+        /// The observation.
+        observation_idx: usize,
+        /// Its sigma.
+        sigma_px: f64,
+    },
+    /// There are fewer equations than unknowns.
+    #[error("{rows} equations for {unknowns} unknowns: more views are needed, or a lens model with fewer parameters")]
+    TooFewEquations {
+        /// The number of equations.
+        rows: usize,
+        /// The number of unknowns.
+        unknowns: usize,
+    },
+    /// A view of the seed lies outside its lens's domain.
+    #[error("the seed puts points of view {view_idx} where the lens cannot see them")]
+    SeedOutOfView {
+        /// The view.
+        view_idx: usize,
+    },
+    /// The solver failed.
+    #[error(transparent)]
+    Solver(#[from] boresight_solver::Error),
+}

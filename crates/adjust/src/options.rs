@@ -1,0 +1,104 @@
+//! What a caller may ask of an adjustment.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use boresight_data::{CameraId, FrameId};
+use boresight_solver::Checkpointing;
+pub use boresight_solver::{Observer, Progress};
+
+/// How to adjust.
+#[derive(Clone, Debug)]
+pub struct AdjustOptions {
+    /// What large residuals cost.
+    pub loss: Loss,
+    /// Which observations are not used.
+    pub rejection: Rejection,
+    /// What keeps weakly constrained lens parameters in bounds.
+    pub regularization: Regularization,
+    /// What is held at its seed. Empty estimates all that the data constrain.
+    pub holds: Vec<Hold>,
+    /// The number of threads; 0 takes one for each core. The result does not depend on it.
+    pub threads: usize,
+    /// Stop when the model predicts a decrease of chi-squared below this many residual variances.
+    pub decrease_below: f64,
+    /// The largest number of iterations of one pass.
+    pub max_iterations: usize,
+    /// Stop a pass after this much time; `None` sets no limit.
+    pub time_limit: Option<Duration>,
+    /// Stop when this becomes true; `None` cannot be stopped.
+    pub cancel: Option<Arc<AtomicBool>>,
+    /// Keep the state of the last pass in a file and resume from it; `None` does neither.
+    pub checkpoint: Option<Checkpointing>,
+}
+
+impl Default for AdjustOptions {
+    fn default() -> Self {
+        Self {
+            loss: Loss::None,
+            rejection: Rejection::Beyond { sigmas: 4.0 },
+            regularization: Regularization::Default,
+            holds: Vec::new(),
+            threads: 0,
+            decrease_below: 1e-6,
+            max_iterations: 200,
+            time_limit: None,
+            cancel: None,
+            checkpoint: None,
+        }
+    }
+}
+
+/// What large residuals cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Loss {
+    /// Their square.
+    #[default]
+    None,
+    /// Cauchy's loss `c² ln(1 + s/c²)` of the squared length `s` of a corner's residual.
+    Cauchy {
+        /// c, in units of the observations' sigma.
+        sigmas: f64,
+    },
+}
+
+/// Which observations are not used.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rejection {
+    /// All are used.
+    None,
+    /// Those are not whose residual is longer than this many robust sigmas of its camera.
+    /// Each pass judges all observations anew, so a good one comes back.
+    Beyond {
+        /// The limit on the length of the residual.
+        sigmas: f64,
+    },
+}
+
+/// What keeps weakly constrained lens parameters in bounds. Never part of the noise estimate.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Regularization {
+    /// Nothing.
+    None,
+    /// Rational, thin-prism and tilt coefficients are believed near zero, mildly; others are free.
+    #[default]
+    Default,
+    /// The rows of mrcal up to 2.5.2, whose weight grows with the number of observations.
+    Mrcal22,
+}
+
+/// Something that is held at its seed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hold {
+    /// A lens parameter of a camera, by its index.
+    LensParam(CameraId, usize),
+    /// All of a camera's lens.
+    Lens(CameraId),
+    /// Where a camera sits in the rig.
+    CamFromRig(CameraId),
+    /// Where the target stood in a frame, such as a surveyed board.
+    RigFromTarget(FrameId),
+    /// The shapes of all targets.
+    Shapes,
+}

@@ -1,0 +1,255 @@
+//! From the last solution to a calibration: residuals, sigmas, what was left out.
+
+use std::collections::BTreeMap;
+
+use boresight_data::{
+    Calibration, CameraFit, CameraId, Dataset, Id, Provenance, RejectionReason, Scene, SolveRecord, TargetId,
+    Uncertainty, ViewFit,
+};
+use boresight_geometry::Vector3;
+use boresight_solver::{BlockId, Covariance, Solution, SolveOptions, Stop, covariance};
+
+use crate::error::Error;
+use crate::options::{AdjustOptions, Regularization};
+use crate::rig_problem::RigProblem;
+
+/// What the passes came to.
+#[derive(Debug, Default)]
+pub(crate) struct Outcome {
+    pub stop: Option<Stop>,
+    pub iterations: usize,
+    pub evaluations: usize,
+    pub passes: usize,
+    pub cost: f64,
+    /// Whether the last pass left the set of outliers as it was.
+    pub settled: bool,
+    /// For each view of the problem, which observations are kept; `None` keeps all.
+    pub kept: Option<Vec<Vec<bool>>>,
+    /// For each camera, the length in sigmas beyond which a residual is an outlier.
+    pub limits_sigmas: Vec<f64>,
+}
+
+impl Outcome {
+    pub(crate) fn add(&mut self, solution: &Solution) {
+        self.stop = Some(solution.stop);
+        self.iterations += solution.counters.iterations;
+        self.evaluations += solution.counters.evaluations;
+        self.passes += 1;
+        self.cost = solution.cost;
+    }
+}
+
+/// Returns the calibration that the rig's values amount to.
+pub(crate) fn report(
+    dataset: &Dataset,
+    seed: &Scene,
+    rig: &RigProblem,
+    outcome: Outcome,
+    options: &AdjustOptions,
+) -> Result<Calibration, Error> {
+    let values = rig.parameters.values();
+    let scene = rig.scene(seed, values);
+    let mut cameras: boresight_data::IdVec<CameraId, CameraFit> =
+        dataset.cameras.iter().map(|info| CameraFit { name: info.name.clone(), ..CameraFit::default() }).collect();
+    let mut views = vec![ViewFit::default(); dataset.views.len()];
+    let mut rejected = Vec::new();
+    let mut sums = vec![0.0; dataset.cameras.len()];
+    let mut takes_part = vec![false; dataset.views.len()];
+    for (term_idx, (view_idx, term)) in rig.views.iter().enumerate() {
+        let view = &dataset.views[*view_idx];
+        takes_part[*view_idx] = true;
+        let camera = &mut cameras[view.camera];
+        camera.views += 1;
+        let (mut sum, mut n_kept) = (0.0, 0);
+        let mut residuals_px = Vec::with_capacity(view.observations.len());
+        for (idx, (prediction, observation)) in term.predict(values).into_iter().zip(&view.observations).enumerate() {
+            let residual = prediction
+                .map_or([f64::INFINITY; 2], |[u, v]| [u - observation.pixel[0], v - observation.pixel[1]]);
+            residuals_px.push(residual);
+            let square = residual[0] * residual[0] + residual[1] * residual[1];
+            if outcome.kept.as_ref().is_none_or(|kept| kept[term_idx][idx]) {
+                sum += square;
+                n_kept += 1;
+            } else {
+                let reason = RejectionReason::Outlier {
+                    sigmas: square.sqrt() / observation.sigma_px,
+                    limit: outcome.limits_sigmas[view.camera.index()],
+                };
+                rejected.push(boresight_data::Rejection { view_idx: *view_idx, point: observation.point, reason });
+                camera.rejected += 1;
+            }
+        }
+        camera.observations += n_kept;
+        sums[view.camera.index()] += sum;
+        let rms_px = (n_kept > 0).then(|| (sum / n_kept as f64).sqrt());
+        views[*view_idx] = ViewFit { rms_px, residuals_px };
+    }
+    let n_kept: usize = cameras.iter().map(|camera| camera.observations).sum();
+    let rms = |sum: f64, n: usize| if n > 0 { (sum / n as f64).sqrt() } else { 0.0 };
+    let rms_px = rms(sums.iter().sum(), n_kept);
+    for (camera, sum) in cameras.iter_mut().zip(&sums) {
+        camera.rms_px = rms(*sum, camera.observations);
+    }
+    for (view_idx, view) in dataset.views.iter().enumerate().filter(|(view_idx, _)| !takes_part[*view_idx]) {
+        let why = match &scene.rig.cameras[view.camera] {
+            None => "its camera could not be calibrated",
+            Some(_) => "the target's pose in its frame could not be found",
+        };
+        cameras[view.camera].rejected += view.observations.len();
+        rejected.extend(view.observations.iter().map(|observation| boresight_data::Rejection {
+            view_idx,
+            point: observation.point,
+            reason: RejectionReason::LeftOut { why: why.to_owned() },
+        }));
+    }
+    let (uncertainty, costs) = uncertainty(dataset, rig, options)?;
+    let stop = outcome.stop.unwrap_or(Stop::NotStarted);
+    let regularization = boresight_data::Regularization {
+        kind: match options.regularization {
+            Regularization::None => "none",
+            Regularization::Default => "default",
+            Regularization::Mrcal22 => "mrcal-2.2",
+        }
+        .to_owned(),
+        rows: rig.priors.iter().map(boresight_solver::Term::row_count).sum(),
+        chi2: costs.map_or(0.0, |[_, priors]| priors),
+    };
+    Ok(Calibration {
+        scene,
+        targets: dataset.targets.clone(),
+        frame_names: dataset.frames.iter().map(|frame| frame.name.clone()).collect(),
+        cameras,
+        views,
+        rms_px,
+        uncertainty,
+        rejected,
+        regularization,
+        solve: SolveRecord {
+            chi2: costs.map_or(outcome.cost, |[observations, priors]| observations + priors),
+            iterations: outcome.iterations,
+            evaluations: outcome.evaluations,
+            passes: outcome.passes,
+            stop: stop.to_string(),
+            converged: stop.is_converged(),
+        },
+        provenance: Provenance::default(),
+    })
+}
+
+/// Returns how well the parameters are known, and the costs of observations and priors.
+fn uncertainty(
+    dataset: &Dataset,
+    rig: &RigProblem,
+    options: &AdjustOptions,
+) -> Result<(Uncertainty, Option<[f64; 2]>), Error> {
+    let problem = rig.problem()?;
+    let n_rows = problem.observation_rows();
+    let degrees_of_freedom = n_rows.saturating_sub(rig.parameters.free_count());
+    let solve_options = SolveOptions { threads: options.threads, ..SolveOptions::default() };
+    let columns = columns(dataset, rig);
+    let unavailable = |why: String| Uncertainty {
+        noise_factor: 1.0,
+        degrees_of_freedom,
+        unavailable: Some(why),
+        ..Uncertainty::default()
+    };
+    let covariance = match covariance(&problem, rig.parameters.values().as_slice(), &solve_options) {
+        Ok(covariance) => covariance,
+        Err(boresight_solver::Error::Singular { reciprocal_condition, limit, columns: loosest }) => {
+            let names: Vec<String> = loosest
+                .iter()
+                .filter_map(|(column, _)| {
+                    let place = Covariance::column_of(&problem, *column)?;
+                    columns.iter().find(|(_, known)| *known == place).map(|(name, _)| name.clone())
+                })
+                .collect();
+            let why = format!(
+                "the data do not constrain {}: reciprocal condition {reciprocal_condition:.1e} is below {limit:.1e}",
+                if names.is_empty() { "the parameters".to_owned() } else { names.join(", ") }
+            );
+            return Ok((unavailable(why), None));
+        }
+        Err(error) => return Err(error.into()),
+    };
+    let costs = [covariance.observation_cost, covariance.prior_cost];
+    if degrees_of_freedom == 0 {
+        return Ok((unavailable("there are no more equations than unknowns".to_owned()), Some(costs)));
+    }
+    let variance_factor = costs[0] / degrees_of_freedom as f64;
+    let free: Vec<&(String, (BlockId, usize))> =
+        columns.iter().filter(|(_, (block, column))| !rig.parameters.is_held(*block, *column)).collect();
+    let mut entries = Vec::with_capacity(free.len() * free.len());
+    for (_, a) in &free {
+        entries.extend(free.iter().map(|(_, b)| variance_factor * covariance.between(*a, *b)));
+    }
+    let uncertainty = Uncertainty {
+        noise_factor: variance_factor.sqrt(),
+        degrees_of_freedom,
+        names: free.iter().map(|(name, _)| name.clone()).collect(),
+        covariance: entries,
+        unavailable: None,
+        baselines_m: baselines(dataset, rig, &covariance, variance_factor),
+    };
+    Ok((uncertainty, Some(costs)))
+}
+
+/// Returns the names of all parameters but the frames' poses, each with its block and column.
+fn columns(dataset: &Dataset, rig: &RigProblem) -> Vec<(String, (BlockId, usize))> {
+    const POSE_COLUMNS: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m"];
+    let mut columns = Vec::new();
+    for (camera_id, blocks) in rig.cameras.enumerate() {
+        let Some(blocks) = blocks else { continue };
+        let camera = &dataset.cameras[camera_id].name;
+        for (i, name) in rig.lens_names(camera_id).iter().enumerate() {
+            columns.push((format!("{camera}.{name}"), (blocks.lens, i)));
+        }
+        for (k, name) in POSE_COLUMNS.iter().enumerate() {
+            columns.push((format!("{camera}.cam_from_rig.{name}"), (blocks.cam_from_rig, k)));
+        }
+    }
+    for (target_id, blocks) in rig.targets.enumerate() {
+        let target: &str = target_name(dataset, target_id);
+        if let Some(shape) = blocks.shape {
+            for j in 0..dataset.targets[target_id].shape.coefficient_count() {
+                columns.push((format!("{target}.shape{j}_m"), (shape, j)));
+            }
+        }
+        if let Some(pose) = blocks.first_from_target {
+            for (k, name) in POSE_COLUMNS.iter().enumerate() {
+                columns.push((format!("{target}.first_from_target.{name}"), (pose, k)));
+            }
+        }
+    }
+    columns
+}
+
+fn target_name(dataset: &Dataset, target: TargetId) -> &str {
+    &dataset.targets[target].name
+}
+
+/// Returns the distance of each camera's centre from the rig's origin, with its sigma.
+fn baselines(
+    dataset: &Dataset,
+    rig: &RigProblem,
+    covariance: &Covariance,
+    variance_factor: f64,
+) -> BTreeMap<String, [f64; 2]> {
+    let mut baselines = BTreeMap::new();
+    for (camera_id, blocks) in rig.cameras.enumerate() {
+        let Some(blocks) = blocks.filter(|blocks| !blocks.is_reference) else { continue };
+        let translation: Vector3<f64> = rig.parameters.values().pose(blocks.cam_from_rig).translation;
+        let length = translation.norm();
+        // A left perturbation (w, v) changes |t| by t·v / |t|; w × t is square to t.
+        let direction = translation / length.max(f64::MIN_POSITIVE);
+        let mut variance = 0.0;
+        for a in 0..3 {
+            for b in 0..3 {
+                let entry = covariance.between((blocks.cam_from_rig, 3 + a), (blocks.cam_from_rig, 3 + b));
+                variance += direction[a] * direction[b] * entry;
+            }
+        }
+        let sigma = (variance * variance_factor).max(0.0).sqrt();
+        baselines.insert(dataset.cameras[camera_id].name.clone(), [length, sigma]);
+    }
+    baselines
+}

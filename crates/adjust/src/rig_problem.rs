@@ -1,0 +1,301 @@
+//! A dataset and a scene as a problem: which block is what.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use boresight_camera::{Model, ParamGroup};
+use boresight_data::{CameraId, Dataset, FrameId, Id, IdVec, Scene, Shape, TargetId};
+use boresight_geometry::Pose;
+use boresight_solver::{BlockId, Elimination, Parameters, Problem, Term, Values, VectorPrior};
+
+use crate::chain::{Chain, Link};
+use crate::error::Error;
+use crate::options::{AdjustOptions, Hold, Loss, Regularization};
+use crate::reprojection::{Layouts, Reprojection, TargetPoints};
+
+/// Expected size of a rational lens's radial coefficients.
+const RATIONAL_SIGMA: f64 = 2.0;
+/// Expected size of thin-prism coefficients, and of tilts in radians.
+const PRISM_AND_TILT_SIGMA: f64 = 0.1;
+
+/// The blocks and terms of a rig looking at targets.
+pub(crate) struct RigProblem {
+    pub parameters: Parameters,
+    pub cameras: IdVec<CameraId, Option<CameraBlocks>>,
+    pub frames: IdVec<FrameId, Option<BlockId>>,
+    pub targets: IdVec<TargetId, TargetBlocks>,
+    /// The terms, and for each the view it is of.
+    pub views: Vec<(usize, Reprojection)>,
+    pub priors: Vec<VectorPrior>,
+}
+
+/// The blocks of a camera.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct CameraBlocks {
+    pub lens: BlockId,
+    pub cam_from_rig: BlockId,
+    pub is_reference: bool,
+    pub model: Model,
+}
+
+/// The blocks of a target.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct TargetBlocks {
+    pub shape: Option<BlockId>,
+    /// Where the target stands relative to the first; `None` for the first itself.
+    pub first_from_target: Option<BlockId>,
+}
+
+impl RigProblem {
+    pub(crate) fn new(dataset: &Dataset, scene: &Scene, options: &AdjustOptions) -> Result<Self, Error> {
+        check(dataset, scene)?;
+        let reference = scene.rig.reference().ok_or(Error::NoCamera { views: dataset.views.len() })?;
+        let mut parameters = Parameters::default();
+        let mut cameras = IdVec::default();
+        for (camera_id, camera) in scene.rig.cameras.enumerate() {
+            cameras.push(camera.as_ref().map(|camera| {
+                let lens = parameters.add_vector(&camera.camera.params);
+                let cam_from_rig = parameters.add_pose(&camera.cam_from_rig, Elimination::Reduced);
+                let is_reference = camera_id == reference;
+                if is_reference {
+                    parameters.hold_all(cam_from_rig);
+                }
+                CameraBlocks { lens, cam_from_rig, is_reference, model: camera.camera.model }
+            }));
+        }
+        let mut targets = IdVec::default();
+        for (target_id, belief) in scene.targets.enumerate() {
+            let is_seen = dataset.views.iter().any(|view| view.target == target_id);
+            let shape = (dataset.targets[target_id].shape != Shape::Rigid && is_seen)
+                .then(|| parameters.add_vector(&belief.shape_m));
+            let first_from_target = (target_id.index() > 0 && is_seen)
+                .then(|| parameters.add_pose(&belief.first_from_target, Elimination::Reduced));
+            targets.push(TargetBlocks { shape, first_from_target });
+        }
+        let mut problem = Self {
+            parameters,
+            cameras,
+            frames: dataset.frames.ids().map(|_| None).collect(),
+            targets,
+            views: Vec::new(),
+            priors: Vec::new(),
+        };
+        problem.add_views(dataset, scene);
+        problem.add_regularization(dataset, scene, options.regularization);
+        problem.hold(&options.holds);
+        Ok(problem)
+    }
+
+    /// Adds a term for each view whose camera and frame the scene knows.
+    fn add_views(&mut self, dataset: &Dataset, scene: &Scene) {
+        let mut layouts = Layouts::default();
+        // Whole boards share their points.
+        let mut whole_boards: BTreeMap<TargetId, Arc<TargetPoints>> = BTreeMap::new();
+        for (view_idx, view) in dataset.views.iter().enumerate() {
+            let (Some(camera), Some(rig_from_target)) =
+                (self.cameras[view.camera], scene.rig_from_target[view.frame])
+            else {
+                continue;
+            };
+            let Some(rig_camera) = &scene.rig.cameras[view.camera] else { continue };
+            if view.observations.is_empty() {
+                continue;
+            }
+            let frame = *self.frames[view.frame].get_or_insert_with(|| {
+                self.parameters.add_pose(&rig_from_target, Elimination::First)
+            });
+            let target = &dataset.targets[view.target];
+            let observations = &view.observations;
+            let is_whole = observations.len() == target.point_count()
+                && observations.iter().enumerate().all(|(idx, observation)| observation.point.index() == idx);
+            let points = if is_whole {
+                whole_boards
+                    .entry(view.target)
+                    .or_insert_with(|| Arc::new(TargetPoints::new(target, observations)))
+                    .clone()
+            } else {
+                Arc::new(TargetPoints::new(target, observations))
+            };
+            let blocks = self.targets[view.target];
+            // The reference camera's pose is the identity and held, which the chain can leave out.
+            let at_rig = camera.is_reference && rig_camera.cam_from_rig == Pose::identity();
+            let links = (!at_rig)
+                .then_some(Link::Block(camera.cam_from_rig))
+                .into_iter()
+                .chain([Link::Block(frame)])
+                .chain(blocks.first_from_target.map(Link::Block));
+            let chain = Chain { links: links.collect() };
+            let shape = blocks.shape.map(|block| (block, target.shape.coefficient_count()));
+            let model = rig_camera.camera.model;
+            let term = Reprojection::new(
+                model,
+                camera.lens,
+                shape,
+                chain,
+                points,
+                observations,
+                Loss::None,
+                &mut layouts,
+            );
+            self.views.push((view_idx, term));
+        }
+    }
+
+    fn add_regularization(&mut self, dataset: &Dataset, scene: &Scene, regularization: Regularization) {
+        let n_cameras = self.cameras.iter().flatten().count();
+        let n_rows: usize =
+            self.views.iter().map(|(view_idx, _)| 2 * dataset.views[*view_idx].observations.len()).sum();
+        for (blocks, camera) in self.cameras.iter().zip(&scene.rig.cameras) {
+            let (Some(blocks), Some(camera)) = (blocks, camera) else { continue };
+            let camera = &camera.camera;
+            let rows = match regularization {
+                Regularization::None => Vec::new(),
+                Regularization::Default => default_rows(&camera.model.param_groups()),
+                Regularization::Mrcal22 => {
+                    let is_rational = camera.model.param_groups().contains(&ParamGroup::Rational);
+                    let n_params = camera.params.len();
+                    mrcal_rows(n_rows, n_cameras, n_params, is_rational, camera.image_size)
+                }
+            };
+            if !rows.is_empty() {
+                self.priors.push(VectorPrior::new(blocks.lens, rows));
+            }
+        }
+    }
+
+    fn hold(&mut self, holds: &[Hold]) {
+        for hold in holds {
+            match *hold {
+                Hold::LensParam(camera, param) => {
+                    if let Some(blocks) = self.cameras[camera] {
+                        self.parameters.hold(blocks.lens, param);
+                    }
+                }
+                Hold::Lens(camera) => {
+                    if let Some(blocks) = self.cameras[camera] {
+                        self.parameters.hold_all(blocks.lens);
+                    }
+                }
+                Hold::CamFromRig(camera) => {
+                    if let Some(blocks) = self.cameras[camera] {
+                        self.parameters.hold_all(blocks.cam_from_rig);
+                    }
+                }
+                Hold::RigFromTarget(frame) => {
+                    if let Some(block) = self.frames[frame] {
+                        self.parameters.hold_all(block);
+                    }
+                }
+                Hold::Shapes => {
+                    for shape in self.targets.iter().filter_map(|blocks| blocks.shape) {
+                        self.parameters.hold_all(shape);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Returns the problem for the solver.
+    pub(crate) fn problem(&self) -> Result<Problem<'_>, Error> {
+        let views = self.views.iter().map(|(_, term)| term as &dyn Term);
+        let priors = self.priors.iter().map(|prior| prior as &dyn Term);
+        Ok(Problem::new(&self.parameters, views.chain(priors).collect())?)
+    }
+
+    /// Returns the names of a camera's lens parameters.
+    pub(crate) fn lens_names(&self, camera: CameraId) -> Vec<&'static str> {
+        self.cameras[camera].map_or(Vec::new(), |blocks| blocks.model.param_names())
+    }
+
+    /// Returns `scene` with what `values` say of it.
+    pub(crate) fn scene(&self, scene: &Scene, values: Values<'_>) -> Scene {
+        let mut scene = scene.clone();
+        for (blocks, camera) in self.cameras.iter().zip(scene.rig.cameras.iter_mut()) {
+            if let (Some(blocks), Some(camera)) = (blocks, camera) {
+                camera.camera.params = values.vector(blocks.lens).to_vec();
+                camera.cam_from_rig = values.pose(blocks.cam_from_rig);
+            }
+        }
+        for (blocks, belief) in self.targets.iter().zip(scene.targets.iter_mut()) {
+            if let Some(shape) = blocks.shape {
+                belief.shape_m = values.vector(shape).to_vec();
+            }
+            if let Some(pose) = blocks.first_from_target {
+                belief.first_from_target = values.pose(pose);
+            }
+        }
+        for (block, pose) in self.frames.iter().zip(scene.rig_from_target.iter_mut()) {
+            *pose = block.map(|block| values.pose(block));
+        }
+        scene
+    }
+}
+
+/// Returns mild beliefs about the parameters that data alone constrain badly.
+fn default_rows(groups: &[ParamGroup]) -> Vec<(usize, f64, f64)> {
+    let is_rational = groups.contains(&ParamGroup::Rational);
+    let sigma = |group: &ParamGroup| match group {
+        // In a rational lens the numerator trades against the denominator.
+        ParamGroup::Radial if is_rational => Some(RATIONAL_SIGMA),
+        ParamGroup::Rational => Some(RATIONAL_SIGMA),
+        ParamGroup::ThinPrism | ParamGroup::Tilt => Some(PRISM_AND_TILT_SIGMA),
+        _ => None,
+    };
+    groups.iter().enumerate().filter_map(|(i, group)| Some((i, 0.0, 1.0 / sigma(group)?))).collect()
+}
+
+/// Returns the regularisation rows of mrcal up to 2.5.2, whose residuals are in pixels.
+///
+/// `n_rows` counts all rows of pixels, rejected ones included. The scale of distortions is 2, that of
+/// the centre 500 px; the denominators of a rational lens weigh five times as much.
+fn mrcal_rows(
+    n_rows: usize,
+    n_cameras: usize,
+    n_params: usize,
+    is_rational: bool,
+    image_size: [u32; 2],
+) -> Vec<(usize, f64, f64)> {
+    let share = n_rows as f64 * 0.005 / 2.0 / n_cameras as f64;
+    let n_distortions = n_params - 4;
+    let distortion = (share / (n_distortions as f64 * 4.0)).sqrt();
+    let centre = (share / (2.0 * 500.0 * 500.0)).sqrt();
+    let mut rows: Vec<(usize, f64, f64)> = (0..n_distortions)
+        .map(|i| {
+            let factor = if is_rational && (5..8).contains(&i) { 5.0 } else { 1.0 };
+            (4 + i, 0.0, factor * distortion)
+        })
+        .collect();
+    for axis in 0..2 {
+        rows.push((2 + axis, (f64::from(image_size[axis]) - 1.0) / 2.0, centre));
+    }
+    rows
+}
+
+fn check(dataset: &Dataset, scene: &Scene) -> Result<(), Error> {
+    let counts = [
+        ("cameras", scene.rig.cameras.len(), dataset.cameras.len()),
+        ("targets", scene.targets.len(), dataset.targets.len()),
+        ("frames", scene.rig_from_target.len(), dataset.frames.len()),
+    ];
+    for (what, found, need) in counts {
+        if found != need {
+            return Err(Error::SeedMismatch { what, found, need });
+        }
+    }
+    for (view_idx, view) in dataset.views.iter().enumerate() {
+        let exists = dataset.cameras.get(view.camera).is_some()
+            && dataset.frames.get(view.frame).is_some()
+            && dataset.targets.get(view.target).is_some();
+        if !exists {
+            let (camera, frame, target) = (view.camera, view.frame, view.target);
+            return Err(Error::DanglingView { view_idx, camera, frame, target });
+        }
+        for (observation_idx, observation) in view.observations.iter().enumerate() {
+            let sigma_px = observation.sigma_px;
+            if !(sigma_px > 0.0) || !sigma_px.is_finite() {
+                return Err(Error::BadSigma { view_idx, observation_idx, sigma_px });
+            }
+        }
+    }
+    Ok(())
+}
