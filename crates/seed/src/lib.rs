@@ -1,0 +1,167 @@
+//! A closed-form start for every unknown: lenses, rig and poses, with no focal length given.
+//!
+//! [`seed`] goes from corners to a [`Scene`] in five steps, each in a file of its own: what the
+//! directions of the pixels tell of each pose, whatever the lens (`radial`); the lens profile and the
+//! depths from all views of a camera (`profile`), with Zhang's closed form as a rival for narrow
+//! lenses (`zhang`); the lens model and the poses together (`lens_fit`, `resection`, `bundle`); the
+//! graph of cameras and targets over shared frames (`graph`); the poses of the frames (`rig`).
+//!
+//! Architecture invariant: nothing here is random, and what could not be used is returned, not logged.
+
+mod average;
+mod bundle;
+mod graph;
+mod intrinsics;
+mod kernel;
+mod left_out;
+mod lens_fit;
+mod linear;
+mod profile;
+mod radial;
+mod resection;
+mod rig;
+mod rig_bundle;
+mod robust;
+mod sighting;
+mod subset;
+mod zhang;
+
+use boresight_camera::Model;
+use boresight_data::{CameraId, Dataset, Id as _, Scene};
+
+pub use left_out::LeftOut;
+
+use crate::intrinsics::{CameraSeed, seed_camera};
+use crate::sighting::Sighting;
+
+/// How a seed is made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SeedOptions {
+    /// The lens model of all cameras, or one for each camera.
+    pub models: Vec<Model>,
+    /// A camera with fewer usable views is left out.
+    pub min_views: usize,
+    /// A view with fewer points is left out; at least 4, below which no pose is determined.
+    pub min_points: usize,
+    /// At most this many views of a camera, the most different ones, determine its lens.
+    pub lens_views: usize,
+    /// At most this many points of each of them.
+    pub lens_points_per_view: usize,
+    /// At most this many steps refine lens and poses together.
+    pub lens_steps: usize,
+}
+
+impl Default for SeedOptions {
+    fn default() -> Self {
+        Self {
+            models: vec![Model::OpenCv8(Default::default())],
+            min_views: 3,
+            min_points: 6,
+            lens_views: 30,
+            lens_points_per_view: 80,
+            lens_steps: 10,
+        }
+    }
+}
+
+/// A start for the adjustment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Seed {
+    /// What is believed: lenses, rig, target poses. Target shapes start flat.
+    pub scene: Scene,
+    /// What could not be used, and why: facts about cameras first, then about views, in their order.
+    pub left_out: Vec<LeftOut>,
+}
+
+/// What can keep a seed from being made.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The dataset has no view.
+    #[error("the dataset has {cameras} cameras and {frames} frames, but no view")]
+    NoViews {
+        /// The number of cameras.
+        cameras: usize,
+        /// The number of frames.
+        frames: usize,
+    },
+    /// The number of lens models fits neither one for all nor one for each camera.
+    #[error("{found} lens models are given for {cameras} cameras; give one for all or one for each")]
+    ModelCount {
+        /// How many are given.
+        found: usize,
+        /// The number of cameras.
+        cameras: usize,
+    },
+    /// No camera has enough usable views; the one with most is named.
+    #[error("camera {camera} has {found} usable views; {need} are needed")]
+    TooFewViews {
+        /// The camera's name.
+        camera: String,
+        /// How many of its views are usable.
+        found: usize,
+        /// How many it takes.
+        need: usize,
+    },
+    /// No camera could be calibrated.
+    #[error("none of the {cameras} cameras could be calibrated: {}", reasons.join("; "))]
+    NoUsableCamera {
+        /// The number of cameras.
+        cameras: usize,
+        /// Why, camera by camera.
+        reasons: Vec<String>,
+    },
+}
+
+/// Returns a start for every unknown of `dataset`, and what it had to leave out.
+///
+/// The largest group of cameras that are connected by shared frames is kept; its first camera is the
+/// reference. Every observation of every kept view projects in the scene that is returned.
+pub fn seed(dataset: &Dataset, options: &SeedOptions) -> Result<Seed, Error> {
+    let n_cameras = dataset.cameras.len();
+    if dataset.views.is_empty() {
+        return Err(Error::NoViews { cameras: n_cameras, frames: dataset.frames.len() });
+    }
+    if options.models.len() != 1 && options.models.len() != n_cameras {
+        return Err(Error::ModelCount { found: options.models.len(), cameras: n_cameras });
+    }
+    let mut left_out = Vec::new();
+    let mut sightings: Vec<Vec<Sighting>> = vec![Vec::new(); n_cameras];
+    for (view_idx, view) in dataset.views.iter().enumerate() {
+        match Sighting::new(view_idx, view, &dataset.targets[view.target], options.min_points.max(4)) {
+            Ok(sighting) => sightings[view.camera.index()].push(sighting),
+            Err(fact) => left_out.push(fact),
+        }
+    }
+    let mut cameras: Vec<Option<CameraSeed>> = Vec::with_capacity(n_cameras);
+    let mut camera_facts = Vec::new();
+    for (id, info) in dataset.cameras.enumerate() {
+        let model = options.models[if options.models.len() == 1 { 0 } else { id.index() }];
+        let seeded = seed_camera(id, info, model, &sightings[id.index()], options, &mut left_out);
+        cameras.push(seeded.map_err(|fact| camera_facts.push(fact)).ok());
+    }
+    if cameras.iter().all(Option::is_none) {
+        return Err(nothing_usable(dataset, &camera_facts));
+    }
+    let scene = rig::assemble(dataset, &sightings, cameras, &mut camera_facts, &mut left_out);
+    left_out.sort_by_key(LeftOut::view_idx);
+    camera_facts.append(&mut left_out);
+    Ok(Seed { scene, left_out: camera_facts })
+}
+
+/// Returns the error that says why no camera is left.
+fn nothing_usable(dataset: &Dataset, facts: &[LeftOut]) -> Error {
+    let name = |id: CameraId| dataset.cameras[id].name.clone();
+    let few = facts.iter().filter_map(|fact| match *fact {
+        LeftOut::TooFewViews { camera, found, need } => Some((camera, found, need)),
+        _ => None,
+    });
+    let few: Vec<_> = few.collect();
+    if few.len() == facts.len()
+        && let Some(&(camera, found, need)) = few.iter().max_by_key(|(_, found, _)| *found)
+    {
+        return Error::TooFewViews { camera: name(camera), found, need };
+    }
+    let reasons = facts.iter().map(|fact| fact.describe(dataset)).collect();
+    Error::NoUsableCamera { cameras: dataset.cameras.len(), reasons }
+}

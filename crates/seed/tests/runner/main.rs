@@ -1,0 +1,8 @@
+//! The seed crate's integration tests.
+
+#[cfg(test)]
+mod problems;
+#[cfg(test)]
+mod support;
+#[cfg(test)]
+mod synthetic;

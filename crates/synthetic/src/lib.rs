@@ -1,0 +1,15 @@
+//! Scenes with known truth, and what cameras would have seen of them.
+//!
+//! A [`Recipe`] says which cameras, which target, how it is waved about, and how bad the corners
+//! are. [`simulate`] turns it and a seed into a [`Synthetic`]: truth, dataset, clean pixels, and
+//! which observations are outliers. The same recipe and seed give the same bytes.
+//!
+//! Architecture invariant: nothing here estimates anything, and nothing is random without a seed.
+
+mod lenses;
+mod place;
+mod recipe;
+mod simulate;
+
+pub use recipe::{Outliers, PlacedCamera, Placement, Recipe};
+pub use simulate::{Synthetic, simulate};

@@ -1,0 +1,10 @@
+//! Golden tests: the answers of mrcal 2.2 and OpenCV 5.0.0 on the same observations.
+//!
+//! They need the conformance data beside the project, and say so where it is not present.
+
+mod golden {
+    mod monte_carlo;
+    mod mrcal_problems;
+    mod opencv_corners;
+    mod synthetic_rigs;
+}
