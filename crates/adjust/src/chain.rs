@@ -77,7 +77,8 @@ mod tests {
 
     #[test]
     fn adjoints_match_differences() {
-        let pose = |a: f64| Pose::from_rodrigues(Vector3::new(a, 0.3 - a, 0.2), Vector3::new(0.1, a, 1.0 + a));
+        let pose =
+            |a: f64| Pose::from_rodrigues(Vector3::new(a, 0.3 - a, 0.2), Vector3::new(0.1, a, 1.0 + a));
         let mut parameters = Parameters::default();
         let blocks = [0.1, 0.5, -0.4].map(|a| parameters.add_pose(&pose(a), Elimination::Reduced));
         let chain = Chain {

@@ -23,7 +23,9 @@ pub enum Error {
         need: usize,
     },
     /// A view names something that the dataset does not have.
-    #[error("view {view_idx} names camera {camera}, frame {frame}, target {target}; one of them does not exist")]
+    #[error(
+        "view {view_idx} names camera {camera}, frame {frame}, target {target}; one of them does not exist"
+    )]
     DanglingView {
         /// The view.
         view_idx: usize,
@@ -35,7 +37,9 @@ pub enum Error {
         target: TargetId,
     },
     /// An observation has a sigma that is not positive.
-    #[error("observation {observation_idx} of view {view_idx} has a sigma of {sigma_px} px; it must be positive")]
+    #[error(
+        "observation {observation_idx} of view {view_idx} has a sigma of {sigma_px} px; it must be positive"
+    )]
     BadSigma {
         /// The view.
         view_idx: usize,
@@ -45,7 +49,9 @@ pub enum Error {
         sigma_px: f64,
     },
     /// There are fewer equations than unknowns.
-    #[error("{rows} equations for {unknowns} unknowns: more views are needed, or a lens model with fewer parameters")]
+    #[error(
+        "{rows} equations for {unknowns} unknowns: more views are needed, or a lens model with fewer parameters"
+    )]
     TooFewEquations {
         /// The number of equations.
         rows: usize,

@@ -49,8 +49,11 @@ pub(crate) fn report(
 ) -> Result<Calibration, Error> {
     let values = rig.parameters.values();
     let scene = rig.scene(seed, values);
-    let mut cameras: boresight_data::IdVec<CameraId, CameraFit> =
-        dataset.cameras.iter().map(|info| CameraFit { name: info.name.clone(), ..CameraFit::default() }).collect();
+    let mut cameras: boresight_data::IdVec<CameraId, CameraFit> = dataset
+        .cameras
+        .iter()
+        .map(|info| CameraFit { name: info.name.clone(), ..CameraFit::default() })
+        .collect();
     let mut views = vec![ViewFit::default(); dataset.views.len()];
     let mut rejected = Vec::new();
     let mut sums = vec![0.0; dataset.cameras.len()];
@@ -62,7 +65,9 @@ pub(crate) fn report(
         camera.views += 1;
         let (mut sum, mut n_kept) = (0.0, 0);
         let mut residuals_px = Vec::with_capacity(view.observations.len());
-        for (idx, (prediction, observation)) in term.predict(values).into_iter().zip(&view.observations).enumerate() {
+        for (idx, (prediction, observation)) in
+            term.predict(values).into_iter().zip(&view.observations).enumerate()
+        {
             let residual = prediction
                 .map_or([f64::INFINITY; 2], |[u, v]| [u - observation.pixel[0], v - observation.pixel[1]]);
             residuals_px.push(residual);
@@ -75,7 +80,11 @@ pub(crate) fn report(
                     sigmas: square.sqrt() / observation.sigma_px,
                     limit: outcome.limits_sigmas[view.camera.index()],
                 };
-                rejected.push(boresight_data::Rejection { view_idx: *view_idx, point: observation.point, reason });
+                rejected.push(boresight_data::Rejection {
+                    view_idx: *view_idx,
+                    point: observation.point,
+                    reason,
+                });
                 camera.rejected += 1;
             }
         }
@@ -168,6 +177,13 @@ fn uncertainty(
                 if names.is_empty() { "the parameters".to_owned() } else { names.join(", ") }
             );
             return Ok((unavailable(why), None));
+        }
+        Err(boresight_solver::Error::LooseBlock { block }) => {
+            let frame = rig.frames.enumerate().find(|(_, frame)| **frame == Some(block));
+            let place = frame.map_or("a pose".to_owned(), |(id, _)| {
+                format!("the pose of frame {}", dataset.frames[id].name)
+            });
+            return Ok((unavailable(format!("the data do not constrain {place}")), None));
         }
         Err(error) => return Err(error.into()),
     };

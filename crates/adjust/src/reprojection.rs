@@ -18,7 +18,7 @@ use crate::chain::Chain;
 use crate::options::Loss;
 
 /// Points whose rows are in scratch at once; more would spill out of the first-level cache.
-const POINTS_AT_ONCE: usize = 56;
+const POINTS_AT_ONCE: usize = 104;
 
 /// The largest number of shape coefficients of a target.
 const MAX_SHAPE: usize = 2;
@@ -118,15 +118,14 @@ impl Reprojection {
         chain: Chain,
         points: Arc<TargetPoints>,
         observations: &[Observation],
-        loss: Loss,
         layouts: &mut Layouts,
     ) -> Self {
         assert_eq!(points.n_points, observations.len(), "each observation has its point");
         let mut blocks = vec![lens];
         blocks.extend(shape.map(|(block, _)| block));
         blocks.extend(chain.blocks());
-        let mut pixels =
-            [0, 1].map(|axis| observations.iter().map(|observation| observation.pixel[axis]).collect::<Vec<_>>());
+        let mut pixels = [0, 1]
+            .map(|axis| observations.iter().map(|observation| observation.pixel[axis]).collect::<Vec<_>>());
         pixels.iter_mut().for_each(pad);
         let n_shape = shape.map_or(0, |(_, n)| n);
         let mut term = Self {
@@ -140,7 +139,7 @@ impl Reprojection {
             pixels,
             weights: Weights::Uniform(0.0),
             n_rows: 0,
-            loss,
+            loss: Loss::None,
         };
         term.set_kept(observations, |_| true);
         term
@@ -148,16 +147,17 @@ impl Reprojection {
 
     /// Sets which observations count.
     pub fn set_kept(&mut self, observations: &[Observation], is_kept: impl Fn(usize) -> bool) {
-        let weight = |(idx, observation): (usize, &Observation)| {
-            if is_kept(idx) { 1.0 / observation.sigma_px } else { 0.0 }
-        };
-        let weights: Vec<f64> = observations.iter().enumerate().map(weight).collect();
-        self.n_rows = 2 * weights.iter().filter(|&&weight| weight > 0.0).count();
-        let first = weights.first().copied().unwrap_or(0.0);
-        self.weights = if weights.iter().all(|&weight| weight == first) {
-            Weights::Uniform(first)
+        let sigma_px = observations.first().map_or(1.0, |first| first.sigma_px);
+        let n_kept = (0..observations.len()).filter(|&idx| is_kept(idx)).count();
+        self.n_rows = 2 * n_kept;
+        let is_uniform = observations.iter().all(|observation| observation.sigma_px == sigma_px);
+        self.weights = if is_uniform && n_kept == observations.len() {
+            Weights::Uniform(1.0 / sigma_px)
         } else {
-            let mut weights = weights;
+            let weight = |(idx, observation): (usize, &Observation)| {
+                if is_kept(idx) { 1.0 / observation.sigma_px } else { 0.0 }
+            };
+            let mut weights: Vec<f64> = observations.iter().enumerate().map(weight).collect();
             // The padding weighs nothing, whatever the last observation weighs.
             weights.resize(weights.len().next_multiple_of(MAX_LANES), 0.0);
             Weights::Each(weights)
@@ -208,8 +208,6 @@ impl Reprojection {
 struct Layout {
     n_params: usize,
     n_shape: usize,
-    /// The number of blocks of row columns.
-    n_blocks: usize,
     /// For each entry of the upper triangle, row by row, the two sums that make it up; `NOTHING` is zero.
     entries: Vec<[u32; 2]>,
 }
@@ -219,7 +217,7 @@ const NOTHING: u32 = u32::MAX;
 
 impl Layout {
     fn new(n_params: usize, n_shape: usize, n_lanes: usize) -> Self {
-        let n_row_columns = FIRST_LENS_COLUMN + (n_params - 4) + n_shape + 1;
+        let n_row_columns = n_row_columns(n_params, n_shape);
         let n_blocks = n_row_columns.div_ceil(BLOCK);
         let n_flat = n_params + n_shape;
         // Which row, if only one, and which column of it one of the term's columns is.
@@ -245,7 +243,7 @@ impl Layout {
                 });
             }
         }
-        Self { n_params, n_shape, n_blocks, entries }
+        Self { n_params, n_shape, entries }
     }
 
     /// Returns the number of the term's columns with the composite pose, the residual included.
@@ -253,15 +251,16 @@ impl Layout {
         self.n_params + self.n_shape + 7
     }
 
-    /// Writes the upper triangle over lens, shape, composite pose and residual to `matrix`.
+    /// Writes `factor` times the upper triangle over lens, shape, composite pose and residual to `matrix`.
     #[inline(always)]
-    fn unpack(&self, sums: &[f64], matrix: &mut [f64]) {
+    fn unpack(&self, sums: &[f64], factor: f64, matrix: &mut [f64]) {
         let side = self.side();
         let sum = |place: u32| sums.get(place as usize).copied().unwrap_or(0.0);
         let mut entries = self.entries.iter();
         for a in 0..side {
-            for (entry, [first, second]) in matrix[a * side + a..(a + 1) * side].iter_mut().zip(&mut entries) {
-                *entry = sum(*first) + sum(*second);
+            for (entry, [first, second]) in matrix[a * side + a..(a + 1) * side].iter_mut().zip(&mut entries)
+            {
+                *entry = factor * (sum(*first) + sum(*second));
             }
         }
     }
@@ -299,16 +298,16 @@ fn expand(layout: &Layout, matrix: &[f64], adjoints: &[Option<Matrix6<f64>>], gr
         let mut mapped = [0.0; 6];
         write_mapped(&gradient, adjoint, &mut mapped);
         let left = adjoint.map_or(own, |adjoint| adjoint.transpose() * own);
-        for k in 0..6 {
-            gram.row_mut(first + k)[last] = mapped[k];
+        for (k, mapped) in mapped.into_iter().enumerate() {
+            gram.row_mut(first + k)[last] = mapped;
         }
         for (other, other_adjoint) in adjoints.iter().enumerate().skip(link) {
             let block = other_adjoint.map_or(left, |adjoint| left * adjoint);
             for k in 0..6 {
                 let target = &mut gram.row_mut(first + k)[n_flat + 6 * other..n_flat + 6 * other + 6];
                 // The lower triangle of a link's own block is never read.
-                for l in 0..6 {
-                    target[l] = block[(k, l)];
+                for (l, target) in target.iter_mut().enumerate() {
+                    *target = block[(k, l)];
                 }
             }
         }
@@ -323,13 +322,12 @@ fn write_mapped(row: &[f64], adjoint: &Option<Matrix6<f64>>, target: &mut [f64])
             target.copy_from_slice(row);
         }
         Some(adjoint) => {
-            for l in 0..6 {
-                let column = &adjoint.as_slice()[6 * l..6 * l + 6];
+            for (column, target) in adjoint.as_slice().chunks_exact(6).zip(target) {
                 let mut sum = 0.0;
                 for k in 0..6 {
                     sum += row[k] * column[k];
                 }
-                target[l] = sum;
+                *target = sum;
             }
         }
     }
@@ -400,50 +398,75 @@ impl<M: CameraModel> WithSimd for AccumulateWith<'_, '_, M> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Option<f64> {
-        let Self { model, view } = self;
-        let Accumulate { term, lens, cam_from_target, adjoints, shape, scratch, gram } = view;
-        let layout = &*term.layout;
-        let n_points = term.points.n_points;
-        scratch.gram.reset(layout.n_blocks);
-        let chunk_size = layout.n_blocks * BLOCK * S::F64_LANES;
-        let n_chunks_at_once = POINTS_AT_ONCE / S::F64_LANES;
-        // Loads that straddle cache lines take twice as long.
-        const LINE: usize = 64 / size_of::<f64>();
-        scratch.rows.resize(2 * n_chunks_at_once * chunk_size + LINE, 0.0);
-        let aligned = scratch.rows.as_ptr().align_offset(64).min(LINE);
-        let rows = &mut scratch.rows[aligned..aligned + 2 * n_chunks_at_once * chunk_size];
-        let (u_rows, v_rows) = rows.split_at_mut(n_chunks_at_once * chunk_size);
-        let (u_rows, _) = S::as_mut_simd_f64s(u_rows);
-        let (v_rows, _) = S::as_mut_simd_f64s(v_rows);
-        let context = Context { model, term, lens, rotation: cam_from_target.rotation_matrix(), shape };
-        let translation: [f64; 3] = cam_from_target.translation.into();
-        let stride = layout.n_blocks * BLOCK;
-        // Cleared once a view, not once a chunk.
-        let mut by_lens = [[Lanes::splat(simd, 0.0); MAX_LENS]; 2];
-        let mut loss = 0.0;
-        let mut first = 0;
-        while first < n_points {
-            let n_chunks = (n_points - first).min(POINTS_AT_ONCE).div_ceil(S::F64_LANES);
-            for chunk in 0..n_chunks {
-                let point = first + chunk * S::F64_LANES;
-                let u = &mut u_rows[chunk * stride..(chunk + 1) * stride];
-                let v = &mut v_rows[chunk * stride..(chunk + 1) * stride];
-                loss += context.write_rows(simd, translation, point, &mut by_lens, [u, v])?;
-            }
-            let (u, _) = u_rows[..n_chunks * stride].as_chunks::<BLOCK>();
-            let (v, _) = v_rows[..n_chunks * stride].as_chunks::<BLOCK>();
-            scratch.gram.add(simd, u, v);
-            first += POINTS_AT_ONCE;
+        // The number of shape coefficients and of lens parameters are constants of the code that each
+        // arm becomes, so that rows are written without loops and without checks.
+        match self.view.term.n_shape {
+            0 => accumulate::<M, S, 0>(simd, self.model, self.view),
+            _ => accumulate::<M, S, MAX_SHAPE>(simd, self.model, self.view),
         }
-        let side = layout.side();
-        scratch.matrix.resize(side * side, 0.0);
-        layout.unpack(scratch.gram.sums(), &mut scratch.matrix);
-        expand(layout, &scratch.matrix, adjoints, gram);
-        Some(match term.loss {
-            Loss::None => scratch.matrix[side * side - 1],
-            Loss::Cauchy { .. } => loss,
-        })
     }
+}
+
+#[inline(always)]
+fn accumulate<M: CameraModel, S: Simd, const SHAPE: usize>(
+    simd: S,
+    model: M,
+    view: Accumulate<'_, '_>,
+) -> Option<f64> {
+    let Accumulate { term, lens, cam_from_target, adjoints, shape, scratch, gram } = view;
+    let n_points = term.points.n_points;
+    let stride = n_row_columns(model.param_count(), SHAPE).div_ceil(BLOCK) * BLOCK;
+    scratch.gram.reset(stride / BLOCK);
+    let n_chunks_at_once = POINTS_AT_ONCE / S::F64_LANES;
+    let room = n_chunks_at_once * stride * S::F64_LANES;
+    // Loads that straddle cache lines take twice as long.
+    const LINE: usize = 64 / size_of::<f64>();
+    scratch.rows.resize(2 * room + LINE, 0.0);
+    let aligned = scratch.rows.as_ptr().align_offset(64).min(LINE);
+    let (u_rows, v_rows) = scratch.rows[aligned..aligned + 2 * room].split_at_mut(room);
+    let (u_rows, _) = S::as_mut_simd_f64s(u_rows);
+    let (v_rows, _) = S::as_mut_simd_f64s(v_rows);
+    let context = Context {
+        model,
+        term,
+        lens,
+        rotation: cam_from_target.rotation_matrix(),
+        translation: cam_from_target.translation.into(),
+        shape,
+    };
+    // A weight that all rows share is applied to their sums.
+    let (uniform, shared) = match (&term.weights, term.loss) {
+        (Weights::Uniform(weight), Loss::None) => (true, weight * weight),
+        _ => (false, 1.0),
+    };
+    let mut loss = 0.0;
+    let mut first = 0;
+    while first < n_points {
+        let n_chunks = (n_points - first).min(POINTS_AT_ONCE).div_ceil(S::F64_LANES);
+        for chunk in 0..n_chunks {
+            let point = first + chunk * S::F64_LANES;
+            let u = &mut u_rows[chunk * stride..(chunk + 1) * stride];
+            let v = &mut v_rows[chunk * stride..(chunk + 1) * stride];
+            if uniform && point + S::F64_LANES <= n_points {
+                context.write_rows::<S, SHAPE, false>(simd, point, [u, v])?;
+            } else {
+                loss += context.write_rows::<S, SHAPE, true>(simd, point, [u, v])?;
+            }
+        }
+        let (u, _) = u_rows[..n_chunks * stride].as_chunks::<BLOCK>();
+        let (v, _) = v_rows[..n_chunks * stride].as_chunks::<BLOCK>();
+        scratch.gram.add(simd, u, v);
+        first += POINTS_AT_ONCE;
+    }
+    let layout = &*term.layout;
+    let side = layout.side();
+    scratch.matrix.resize(side * side, 0.0);
+    layout.unpack(scratch.gram.sums(), shared, &mut scratch.matrix);
+    expand(layout, &scratch.matrix, adjoints, gram);
+    Some(match term.loss {
+        Loss::None => scratch.matrix[side * side - 1],
+        Loss::Cauchy { .. } => loss,
+    })
 }
 
 /// Returns the numbers from `point` on, one a lane.
@@ -458,27 +481,29 @@ struct Context<'a, M> {
     term: &'a Reprojection,
     lens: &'a [f64],
     rotation: Matrix3<f64>,
+    translation: [f64; 3],
     shape: [f64; MAX_SHAPE],
 }
 
 impl<M: CameraModel> Context<'_, M> {
     /// Writes the two rows of each point of a chunk and returns the chunk's robust loss, if there is one.
+    ///
+    /// Rows that are not `WEIGHTED` are in pixels; others are in sigmas, and zero in the padding.
     #[inline(always)]
-    fn write_rows<S: Simd>(
+    fn write_rows<S: Simd, const SHAPE: usize, const WEIGHTED: bool>(
         &self,
         simd: S,
-        translation: [f64; 3],
         point: usize,
-        by_lens: &mut [[Lanes<S>; MAX_LENS]; 2],
         rows: [&mut [S::f64s]; 2],
     ) -> Option<f64> {
-        let Self { model, term, lens, rotation, shape } = self;
+        let Self { model, term, lens, rotation, translation, shape } = self;
+        let n_lens = model.param_count() - 4;
         let zero = Lanes::splat(simd, 0.0);
         let axes = &term.points.axes;
         let (x, y, mut z) =
             (load(simd, &axes[0], point), load(simd, &axes[1], point), load(simd, &axes[2], point));
-        let mut basis = [zero; MAX_SHAPE];
-        for j in 0..term.n_shape {
+        let mut basis = [zero; SHAPE];
+        for j in 0..SHAPE {
             basis[j] = load(simd, &axes[3 + j], point);
             z = basis[j].mul_add(zero.like(shape[j]), z);
         }
@@ -488,81 +513,93 @@ impl<M: CameraModel> Context<'_, M> {
             let along_y = y.mul_add(zero.like(rotation[(i, 1)]), along_z);
             p[i] = x.mul_add(zero.like(rotation[(i, 0)]), along_y);
         }
-        let n_lens = lens.len() - 4;
         let mut by_point = [[zero; 3]; 2];
-        let [by_lens_u, by_lens_v] = by_lens;
+        let mut by_lens_u = [zero; MAX_LENS];
+        let mut by_lens_v = [zero; MAX_LENS];
         let pixel =
             model.linearize(lens, p, &mut by_point, [&mut by_lens_u[..n_lens], &mut by_lens_v[..n_lens]])?;
-        let weight = self.weights(simd, point);
-        let residuals = [
-            (pixel[0] - load(simd, &term.pixels[0], point)) * weight,
-            (pixel[1] - load(simd, &term.pixels[1], point)) * weight,
-        ];
+        let mut residuals =
+            [pixel[0] - load(simd, &term.pixels[0], point), pixel[1] - load(simd, &term.pixels[1], point)];
         let mut loss = 0.0;
-        let mut scale = weight;
-        let mut root = None;
-        if let Loss::Cauchy { sigmas } = term.loss {
-            // ρ(s) = c² ln(1 + s/c²), whose weight is 1 / (1 + s/c²).
-            let square = residuals[0].mul_add(residuals[0], residuals[1] * residuals[1]);
-            let one_more = square.scale(1.0 / (sigmas * sigmas)) + zero.like(1.0);
-            let by_root = zero.like(1.0) / one_more.sqrt();
-            loss = sigmas * sigmas * one_more.to_array()[..S::F64_LANES].iter().map(|x| x.ln()).sum::<f64>();
-            scale = scale * by_root;
-            root = Some(by_root);
+        let mut scale = zero.like(1.0);
+        if WEIGHTED {
+            scale = self.weights(simd, point);
+            residuals = [residuals[0] * scale, residuals[1] * scale];
+            if let Loss::Cauchy { sigmas } = term.loss {
+                // ρ(s) = c² ln(1 + s/c²), whose weight is 1 / (1 + s/c²).
+                let square = residuals[0].mul_add(residuals[0], residuals[1] * residuals[1]);
+                let one_more = square.scale(1.0 / (sigmas * sigmas)) + zero.like(1.0);
+                let by_root = zero.like(1.0) / one_more.sqrt();
+                loss =
+                    sigmas * sigmas * one_more.to_array()[..S::F64_LANES].iter().map(|x| x.ln()).sum::<f64>();
+                scale = scale * by_root;
+                residuals = [residuals[0] * by_root, residuals[1] * by_root];
+            }
         }
         for (row, columns) in rows.into_iter().enumerate() {
-            let [a, b, c] = by_point[row];
-            let (a, b, c) = (a * scale, b * scale, c * scale);
-            let (focal, centre) = (lens[row], lens[2 + row]);
-            columns[0] = ((pixel[row] - zero.like(centre)).scale(1.0 / focal) * scale).value;
+            let columns = &mut columns[..n_row_columns(model.param_count(), SHAPE).div_ceil(BLOCK) * BLOCK];
+            let by_lens = if row == 0 { &by_lens_u } else { &by_lens_v };
+            let [mut a, mut b, mut c] = by_point[row];
+            let mut by_focal = (pixel[row] - zero.like(lens[2 + row])).scale(1.0 / lens[row]);
+            if WEIGHTED {
+                (a, b, c) = (a * scale, b * scale, c * scale);
+                by_focal = by_focal * scale;
+            }
+            columns[0] = by_focal.value;
             columns[1] = scale.value;
             // A left perturbation (w, v) moves the point by w × p + v, so w counts by p × gradient.
             columns[2] = (p[1] * c - p[2] * b).value;
             columns[3] = (p[2] * a - p[0] * c).value;
             columns[4] = (p[0] * b - p[1] * a).value;
             (columns[5], columns[6], columns[7]) = (a.value, b.value, c.value);
-            let after_lens = &mut columns[FIRST_LENS_COLUMN..];
-            for (column, by_param) in after_lens[..n_lens].iter_mut().zip(&by_lens[row]) {
-                *column = (*by_param * scale).value;
+            for i in 0..n_lens {
+                let by_param = if WEIGHTED { by_lens[i] * scale } else { by_lens[i] };
+                columns[FIRST_LENS_COLUMN + i] = by_param.value;
             }
-            let rest = &mut after_lens[n_lens..];
-            if term.n_shape > 0 {
+            let rest = &mut columns[FIRST_LENS_COLUMN + n_lens..];
+            if SHAPE > 0 {
                 // A shape coefficient moves the point along the target's z axis.
                 let along_z = a.mul_add(
                     zero.like(rotation[(0, 2)]),
                     b.mul_add(zero.like(rotation[(1, 2)]), c * zero.like(rotation[(2, 2)])),
                 );
-                for j in 0..term.n_shape {
+                for j in 0..SHAPE {
                     rest[j] = (along_z * basis[j]).value;
                 }
             }
-            rest[term.n_shape] = match root {
-                None => residuals[row].value,
-                Some(root) => (residuals[row] * root).value,
-            };
-            rest[term.n_shape + 1..].fill(simd.splat_f64s(0.0));
+            rest[SHAPE] = residuals[row].value;
+            for rest in &mut rest[SHAPE + 1..] {
+                *rest = zero.value;
+            }
         }
         Some(loss)
     }
 
     /// Returns the inverse sigmas of a chunk; zero in the padding.
+    ///
+    /// A weight that all rows share is applied to their sums where there is no loss, so it is one here.
     #[inline(always)]
     fn weights<S: Simd>(&self, simd: S, point: usize) -> Lanes<S> {
         match &self.term.weights {
-            Weights::Each(weights) => {
-                load(simd, weights, point)
-            }
+            Weights::Each(weights) => load(simd, weights, point),
             Weights::Uniform(weight) => {
+                let weight = if self.term.loss == Loss::None { 1.0 } else { *weight };
                 let n_left = self.term.points.n_points - point;
                 if n_left >= S::F64_LANES {
-                    return Lanes::splat(simd, *weight);
+                    return Lanes::splat(simd, weight);
                 }
                 let mut weights = [0.0; MAX_LANES];
-                weights[..n_left].fill(*weight);
+                weights[..n_left].fill(weight);
                 Lanes::from_array(simd, &weights)
             }
         }
     }
+}
+
+/// Returns the number of columns of a row: the core, the pose, the lens, the shape, the residual.
+#[inline(always)]
+const fn n_row_columns(n_params: usize, n_shape: usize) -> usize {
+    FIRST_LENS_COLUMN + (n_params - 4) + n_shape + 1
 }
 
 /// The largest number of lens parameters beyond the core.

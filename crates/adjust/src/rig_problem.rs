@@ -10,7 +10,7 @@ use boresight_solver::{BlockId, Elimination, Parameters, Problem, Term, Values, 
 
 use crate::chain::{Chain, Link};
 use crate::error::Error;
-use crate::options::{AdjustOptions, Hold, Loss, Regularization};
+use crate::options::{AdjustOptions, Hold, Regularization};
 use crate::reprojection::{Layouts, Reprojection, TargetPoints};
 
 /// Expected size of a rational lens's radial coefficients.
@@ -101,9 +101,8 @@ impl RigProblem {
             if view.observations.is_empty() {
                 continue;
             }
-            let frame = *self.frames[view.frame].get_or_insert_with(|| {
-                self.parameters.add_pose(&rig_from_target, Elimination::First)
-            });
+            let frame = *self.frames[view.frame]
+                .get_or_insert_with(|| self.parameters.add_pose(&rig_from_target, Elimination::First));
             let target = &dataset.targets[view.target];
             let observations = &view.observations;
             let is_whole = observations.len() == target.point_count()
@@ -127,16 +126,8 @@ impl RigProblem {
             let chain = Chain { links: links.collect() };
             let shape = blocks.shape.map(|block| (block, target.shape.coefficient_count()));
             let model = rig_camera.camera.model;
-            let term = Reprojection::new(
-                model,
-                camera.lens,
-                shape,
-                chain,
-                points,
-                observations,
-                Loss::None,
-                &mut layouts,
-            );
+            let term =
+                Reprojection::new(model, camera.lens, shape, chain, points, observations, &mut layouts);
             self.views.push((view_idx, term));
         }
     }
@@ -265,8 +256,8 @@ fn mrcal_rows(
             (4 + i, 0.0, factor * distortion)
         })
         .collect();
-    for axis in 0..2 {
-        rows.push((2 + axis, (f64::from(image_size[axis]) - 1.0) / 2.0, centre));
+    for (axis, &size) in image_size.iter().enumerate() {
+        rows.push((2 + axis, (f64::from(size) - 1.0) / 2.0, centre));
     }
     rows
 }
@@ -292,7 +283,7 @@ fn check(dataset: &Dataset, scene: &Scene) -> Result<(), Error> {
         }
         for (observation_idx, observation) in view.observations.iter().enumerate() {
             let sigma_px = observation.sigma_px;
-            if !(sigma_px > 0.0) || !sigma_px.is_finite() {
+            if !sigma_px.is_finite() || sigma_px <= 0.0 {
                 return Err(Error::BadSigma { view_idx, observation_idx, sigma_px });
             }
         }

@@ -57,11 +57,17 @@ impl CameraModel for KannalaBrandt4 {
         let r2 = px.mul_add(px, py * py);
         let AngleByRadius { value: h, by_r2: h_by_r2, by_z: h_by_z } = angle_by_radius(r2, pz)?;
         let theta2 = h * h * r2;
-        let growth =
-            r2.like(params[7]).mul_add(theta2, r2.like(params[6])).mul_add(theta2, r2.like(params[5])).mul_add(theta2, r2.like(params[4]));
+        let growth = r2
+            .like(params[7])
+            .mul_add(theta2, r2.like(params[6]))
+            .mul_add(theta2, r2.like(params[5]))
+            .mul_add(theta2, r2.like(params[4]));
         let growth = growth.mul_add(theta2, theta2.like(1.0));
-        let growth_slope =
-            r2.like(4.0 * params[7]).mul_add(theta2, r2.like(3.0 * params[6])).mul_add(theta2, r2.like(2.0 * params[5])).mul_add(theta2, r2.like(params[4]));
+        let growth_slope = r2
+            .like(4.0 * params[7])
+            .mul_add(theta2, r2.like(3.0 * params[6]))
+            .mul_add(theta2, r2.like(2.0 * params[5]))
+            .mul_add(theta2, r2.like(params[4]));
 
         // The image-plane point is scale * (px, py), with scale = h growth(θ²) and θ² = h² r².
         let scale = h * growth;

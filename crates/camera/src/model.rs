@@ -3,7 +3,7 @@
 use boresight_geometry::{Dual, Scalar};
 
 /// The largest number of parameters of a model that is differentiated through dual numbers.
-pub const MAX_PARAMS: usize = 16;
+pub const MAX_PARAMS: usize = 18;
 
 /// What a lens parameter is for; regularisation and reports go by it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

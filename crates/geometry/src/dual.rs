@@ -94,10 +94,7 @@ impl<T: Scalar, const N: usize> Div for Dual<T, N> {
     fn div(self, other: Self) -> Self {
         let inverse = other.value.like(1.0) / other.value;
         let value = self.value * inverse;
-        Self {
-            value,
-            derivative: each!(i, (self.derivative[i] - value * other.derivative[i]) * inverse),
-        }
+        Self { value, derivative: each!(i, (self.derivative[i] - value * other.derivative[i]) * inverse) }
     }
 }
 
@@ -120,8 +117,10 @@ impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
     fn mul_add(self, factor: Self, summand: Self) -> Self {
         Self {
             value: self.value.mul_add(factor.value, summand.value),
-            derivative: each!(i, {let by_factor = self.value.mul_add(factor.derivative[i], summand.derivative[i]);
-                self.derivative[i].mul_add(factor.value, by_factor)}),
+            derivative: each!(i, {
+                let by_factor = self.value.mul_add(factor.derivative[i], summand.derivative[i]);
+                self.derivative[i].mul_add(factor.value, by_factor)
+            }),
         }
     }
 
@@ -161,7 +160,10 @@ impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
     fn select_below(self, limit: f64, if_below: Self, otherwise: Self) -> Self {
         Self {
             value: self.value.select_below(limit, if_below.value, otherwise.value),
-            derivative: each!(i, self.value.select_below(limit, if_below.derivative[i], otherwise.derivative[i])),
+            derivative: each!(
+                i,
+                self.value.select_below(limit, if_below.derivative[i], otherwise.derivative[i])
+            ),
         }
     }
 

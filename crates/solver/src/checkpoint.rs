@@ -59,11 +59,13 @@ impl Writer {
         let text = serde_json::to_string(&saved).map_err(|error| self.fail(error.to_string()))?;
         let mut temporary = self.options.path.clone().into_os_string();
         temporary.push(".partial");
-        fs::write(&temporary, text).and_then(|()| fs::rename(&temporary, &self.options.path)).map_err(|error| {
-            // Nothing half-written stays; that it was never there is no error.
-            let _ = fs::remove_file(&temporary);
-            self.fail(error.to_string())
-        })
+        fs::write(&temporary, text).and_then(|()| fs::rename(&temporary, &self.options.path)).map_err(
+            |error| {
+                // Nothing half-written stays; that it was never there is no error.
+                let _ = fs::remove_file(&temporary);
+                self.fail(error.to_string())
+            },
+        )
     }
 
     /// Returns the state that was kept, `None` if there is none yet, or an error if it is of another problem.

@@ -35,7 +35,11 @@ struct Eliminated {
 }
 
 /// Returns the covariance of the problem's parameters at `values`, or why there is none.
-pub fn covariance(problem: &Problem<'_>, values: &[f64], options: &SolveOptions) -> Result<Covariance, Error> {
+pub fn covariance(
+    problem: &Problem<'_>,
+    values: &[f64],
+    options: &SolveOptions,
+) -> Result<Covariance, Error> {
     let structure = Structure::new(problem);
     let mut model = Linearization::new(&structure);
     let rows: usize = problem.terms.iter().map(|term| term.row_count()).sum();
@@ -47,7 +51,7 @@ pub fn covariance(problem: &Problem<'_>, values: &[f64], options: &SolveOptions)
         if let Some(block) = group.eliminated
             && cholesky(&sums.own).is_none()
         {
-            return Err(Error::LooseBlock { block });
+            return Err(Error::LooseBlock { block: BlockId(block) });
         }
     }
     let mut steps = StepSolver::new(&structure);
@@ -73,7 +77,9 @@ pub fn covariance(problem: &Problem<'_>, values: &[f64], options: &SolveOptions)
         return Err(singular(0.0, direction));
     }
     let (reciprocal_condition, direction) = steps.reduced.loosest_direction();
-    if structure.n_reduced > 0 && !(reciprocal_condition > LEAST_RECIPROCAL_CONDITION) {
+    // NaN is no condition either.
+    let conditioned = reciprocal_condition > LEAST_RECIPROCAL_CONDITION;
+    if structure.n_reduced > 0 && !conditioned {
         return Err(singular(reciprocal_condition, direction));
     }
     let mut eliminated = vec![None; problem.parameters.blocks.len()];
@@ -141,13 +147,16 @@ impl Covariance {
         for k in 0..SIDE {
             for (place, &column) in columns.iter().enumerate() {
                 spread[k * n + place] = (0..n)
-                    .map(|other| dependence[k * n + other] * self.reduced[(columns[other] as usize, column as usize)])
+                    .map(|other| {
+                        dependence[k * n + other] * self.reduced[(columns[other] as usize, column as usize)]
+                    })
                     .sum();
             }
         }
         for k in 0..SIDE {
             for l in 0..SIDE {
-                covariance[k][l] += (0..n).map(|place| spread[k * n + place] * dependence[l * n + place]).sum::<f64>();
+                covariance[k][l] +=
+                    (0..n).map(|place| spread[k * n + place] * dependence[l * n + place]).sum::<f64>();
             }
         }
         Some(covariance)

@@ -1,5 +1,7 @@
 //! What can keep a problem from being solved.
 
+use crate::BlockId;
+
 /// Why a problem was not solved.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -51,7 +53,9 @@ pub enum Error {
         unknowns: usize,
     },
     /// The covariance does not exist, because a direction of the parameters is not constrained.
-    #[error("the data do not constrain the parameters: reciprocal condition {reciprocal_condition:.1e} is below {limit:.1e}; the loosest direction mixes reduced columns {columns:?}")]
+    #[error(
+        "the data do not constrain the parameters: reciprocal condition {reciprocal_condition:.1e} is below {limit:.1e}; the loosest direction mixes reduced columns {columns:?}"
+    )]
     Singular {
         /// The reciprocal condition of the scaled reduced system.
         reciprocal_condition: f64,
@@ -62,10 +66,10 @@ pub enum Error {
     },
     /// The covariance does not exist, because a block that is eliminated first is not constrained,
     /// even if all others were known.
-    #[error("the data do not constrain block {block}, whatever the other blocks are")]
+    #[error("the data do not constrain block {}, whatever the other blocks are", block.0)]
     LooseBlock {
         /// The block.
-        block: usize,
+        block: BlockId,
     },
     /// A checkpoint could not be read or written, or belongs to another problem.
     #[error("checkpoint {path}: {problem}")]

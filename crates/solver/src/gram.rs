@@ -187,7 +187,9 @@ mod tests {
                         (0..S::F64_LANES).map(|l| entry(row, chunk * S::F64_LANES + l, column)).collect();
                     simd.partial_load_f64s(&lanes)
                 };
-                let block = |k: usize| [0, 1, 2, 3].map(|c| register(k / self.n_blocks, k % self.n_blocks * BLOCK + c));
+                let block = |k: usize| {
+                    [0, 1, 2, 3].map(|c| register(k / self.n_blocks, k % self.n_blocks * BLOCK + c))
+                };
                 (0..self.n_chunks * self.n_blocks).map(block).collect()
             };
             let mut gram = PairGram::default();

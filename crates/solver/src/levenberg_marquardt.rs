@@ -20,7 +20,7 @@ use crate::structure::Structure;
 const LEAST_DAMPING: f64 = 1e-12;
 
 /// The most that a perfect step lowers the damping by.
-const LEAST_SHRINK: f64 = 0.1;
+const LEAST_SHRINK: f64 = 0.02;
 
 /// Damping beyond this means that no step, however short, lowers the cost.
 const MOST_DAMPING: f64 = 1e12;
@@ -167,8 +167,10 @@ impl<'p> Solver<&'p Problem<'p>, State> for LevenbergMarquardt<'_> {
         problem: &mut argmin::core::Problem<&'p Problem<'p>>,
         mut state: State,
     ) -> Result<(State, Option<KV>), argmin::core::Error> {
-        let problem = problem.problem.as_ref().ok_or_else(|| argmin::core::Error::msg("the problem is gone"))?;
-        let mut values = state.take_param().ok_or_else(|| argmin::core::Error::msg("the state has no values"))?;
+        let problem =
+            problem.problem.as_ref().ok_or_else(|| argmin::core::Error::msg("the problem is gone"))?;
+        let mut values =
+            state.take_param().ok_or_else(|| argmin::core::Error::msg("the state has no values"))?;
         let outcome = self.step(problem, &mut values);
         let cost = self.cost();
         let (taken, cost) = match outcome {

@@ -83,7 +83,10 @@ impl Linearization {
                 gram: vec![0.0; largest],
                 groups: groups
                     .iter()
-                    .map(|group| GroupSums { coupling: vec![0.0; SIDE * group.columns.len()], ..Default::default() })
+                    .map(|group| GroupSums {
+                        coupling: vec![0.0; SIDE * group.columns.len()],
+                        ..Default::default()
+                    })
                     .collect(),
                 signatures: vec![Vec::new(); signatures.len()],
                 ..Default::default()

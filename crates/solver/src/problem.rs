@@ -167,10 +167,13 @@ impl Parameters {
                 Manifold::Pose => {
                     // An untouched pose keeps its very bits.
                     if step.iter().any(|step| *step != 0.0) {
-                        let pose = self.at(values).pose_of(block).perturbed(&Vector6::from_column_slice(step));
+                        let pose =
+                            self.at(values).pose_of(block).perturbed(&Vector6::from_column_slice(step));
                         // Normalising anew must not touch a rotation that is held.
-                        let first = if step[..3].iter().all(|step| *step == 0.0) { ROTATION_VALUES } else { 0 };
-                        moved[block.start..][first..POSE_VALUES].copy_from_slice(&pose_values(&pose)[first..]);
+                        let first =
+                            if step[..3].iter().all(|step| *step == 0.0) { ROTATION_VALUES } else { 0 };
+                        moved[block.start..][first..POSE_VALUES]
+                            .copy_from_slice(&pose_values(&pose)[first..]);
                     }
                 }
             }
@@ -322,6 +325,10 @@ impl<'a> Problem<'a> {
 
     /// Returns the number of rows of observations.
     pub fn observation_rows(&self) -> usize {
-        self.terms.iter().filter(|term| term.kind() == TermKind::Observation).map(|term| term.row_count()).sum()
+        self.terms
+            .iter()
+            .filter(|term| term.kind() == TermKind::Observation)
+            .map(|term| term.row_count())
+            .sum()
     }
 }

@@ -6,7 +6,7 @@ use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_uppe
 use faer::{Mat, Par};
 
 use crate::linearization::ReducedSums;
-use crate::step::damping_diagonal;
+use crate::step::{damping_diagonal, row_stride};
 use crate::structure::{HELD, Structure};
 
 /// A dense symmetric system, scaled to a unit diagonal and factored in place.
@@ -51,7 +51,8 @@ impl Reduced {
         for (signature, entries) in structure.signatures.iter().zip(&sums.signatures) {
             let side = signature.columns.len() + 1;
             for (a, &row) in signature.columns.iter().enumerate().filter(|&(_, &row)| row != HELD) {
-                for (b, &column) in signature.columns.iter().enumerate().skip(a).filter(|&(_, &c)| c != HELD) {
+                for (b, &column) in signature.columns.iter().enumerate().skip(a).filter(|&(_, &c)| c != HELD)
+                {
                     let (row, column) = (row.min(column) as usize, row.max(column) as usize);
                     self.matrix[(column, row)] += entries[a * side + b];
                 }
@@ -60,11 +61,12 @@ impl Reduced {
         for (column, &diagonal) in sums.diagonal.iter().enumerate() {
             self.matrix[(column, column)] += damping * damping_diagonal(diagonal);
         }
+        let stride = row_stride(n);
         // The upper triangle by rows is the lower triangle by columns, which is faer's order.
         for (matrix, gradient) in eliminated {
             for row in 0..n {
                 let column = &mut self.matrix.col_as_slice_mut(row)[row..];
-                for (entry, part) in column.iter_mut().zip(&matrix[row * n + row..(row + 1) * n]) {
+                for (entry, part) in column.iter_mut().zip(&matrix[row * stride + row..row * stride + n]) {
                     *entry -= part;
                 }
             }
@@ -89,7 +91,7 @@ impl Reduced {
     pub(crate) fn factor(&mut self) -> bool {
         let n = self.n;
         for (column, &diagonal) in self.diagonal.iter().enumerate() {
-            if !(diagonal > 0.0) || !diagonal.is_finite() {
+            if diagonal <= 0.0 || !diagonal.is_finite() {
                 return false;
             }
             self.scale[column] = 1.0 / diagonal.sqrt();
@@ -102,7 +104,8 @@ impl Reduced {
             }
         }
         let stack = MemStack::new(&mut self.scratch);
-        cholesky_in_place(self.matrix.as_mut(), Default::default(), Par::Seq, stack, Default::default()).is_ok()
+        cholesky_in_place(self.matrix.as_mut(), Default::default(), Par::Seq, stack, Default::default())
+            .is_ok()
     }
 
     /// Solves the factored system for the step that cancels the gradient.

@@ -58,7 +58,8 @@ pub fn solve_observed(
     let mut values = problem.parameters.values.clone();
     let mut search = LevenbergMarquardt::new(problem, &values, threads(rows, options)?, options)?;
     let mut iteration = 0;
-    let writer = options.checkpoint.as_ref().map(|checkpointing| Writer::new(checkpointing, problem, search.cost()));
+    let writer =
+        options.checkpoint.as_ref().map(|checkpointing| Writer::new(checkpointing, problem, search.cost()));
     if let Some(writer) = &writer {
         match writer.read(values.len())? {
             Some(saved) => {

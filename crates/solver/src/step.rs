@@ -21,10 +21,10 @@ pub(crate) struct StepSolver {
 /// What elimination subtracts from the reduced system, over one chunk of groups.
 #[derive(Debug, Default)]
 struct PartialSum {
-    /// The upper triangle, row by row.
+    /// The upper triangle, row by row, [`row_stride`] apart.
     matrix: Vec<f64>,
     gradient: Vec<f64>,
-    /// `SIDE` rows of the group's coupling after forward substitution.
+    /// The group's coupling after forward substitution, in panels.
     solved: Vec<f64>,
     failed: bool,
 }
@@ -35,8 +35,8 @@ impl StepSolver {
     pub(crate) fn new(structure: &Structure) -> Self {
         let n = structure.n_reduced;
         let partial_sum = |_| PartialSum {
-            matrix: vec![0.0; n * n],
-            gradient: vec![0.0; n],
+            matrix: vec![0.0; n * row_stride(n)],
+            gradient: vec![0.0; row_stride(n)],
             solved: Vec::new(),
             failed: false,
         };
@@ -62,7 +62,13 @@ impl StepSolver {
         threads.for_each(&mut self.partial_sums, |idx, sum| {
             let range = structure.schur_chunks[idx].clone();
             let (groups, sums) = (&structure.groups[range.clone()], &groups[range]);
-            arch.dispatch(Eliminate { n: structure.n_reduced, groups, sums, damping, into: sum });
+            arch.dispatch(Eliminate {
+                stride: row_stride(structure.n_reduced),
+                groups,
+                sums,
+                damping,
+                into: sum,
+            });
         });
         if self.partial_sums.iter().any(|sum| sum.failed) {
             return false;
@@ -131,6 +137,7 @@ fn damped(sums: &GroupSums, damping: f64) -> Triangle {
 }
 
 /// Returns the lower Cholesky factor with the reciprocals of its diagonal, or `None` if there is none.
+#[expect(clippy::needless_range_loop, reason = "indices as in the formula, over two matrices")]
 pub(crate) fn cholesky(matrix: &Triangle) -> Option<Triangle> {
     let mut lower = [[0.0; SIDE]; SIDE];
     for j in 0..SIDE {
@@ -139,7 +146,8 @@ pub(crate) fn cholesky(matrix: &Triangle) -> Option<Triangle> {
             pivot -= lower[j][k] * lower[j][k];
         }
         // A pivot lost to rounding is no pivot.
-        if !(pivot > 1e-15 * matrix[j][j]) {
+        let is_pivot = pivot > 1e-15 * matrix[j][j];
+        if !is_pivot {
             return None;
         }
         let reciprocal = 1.0 / pivot.sqrt();
@@ -175,7 +183,7 @@ pub(crate) fn backward(lower: &Triangle, x: &mut [f64; SIDE]) {
 
 /// Eliminates the blocks of some groups: adds `Yᵀ Y` with `Y = L⁻¹ W`, and `Yᵀ L⁻¹ g`.
 struct Eliminate<'a> {
-    n: usize,
+    stride: usize,
     groups: &'a [Group],
     sums: &'a [&'a GroupSums],
     damping: f64,
@@ -187,7 +195,7 @@ impl WithSimd for Eliminate<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { n, groups, sums, damping, into } = self;
+        let Self { stride, groups, sums, damping, into } = self;
         into.failed = false;
         into.matrix.fill(0.0);
         into.gradient.fill(0.0);
@@ -199,146 +207,159 @@ impl WithSimd for Eliminate<'_> {
                 into.failed = true;
                 return;
             };
-            if group.columns.is_empty() {
-                continue;
-            }
             let mut gradient = sums.gradient;
             forward(&lower, &mut gradient);
-            let n_coupled = group.columns.len();
-            into.solved.clear();
-            into.solved.extend_from_slice(&sums.coupling);
-            forward_rows(simd, &lower, &mut into.solved, n_coupled);
-            for (place, &column) in group.columns.iter().enumerate() {
-                for (k, gradient) in gradient.iter().enumerate() {
-                    into.gradient[column as usize] += into.solved[k * n_coupled + place] * gradient;
+            solve_coupling(simd, group, sums, &lower, &mut into.solved);
+            add_gradient(simd, group, &into.solved, &gradient, &mut into.gradient);
+            add_outer(simd, stride, group, &into.solved, &mut into.matrix);
+        }
+    }
+}
+
+/// Columns of a coupling are taken eight at a time, whatever the machine's registers hold.
+const COLUMNS: usize = 8;
+
+/// The numbers of eight columns: `SIDE` rows of them.
+const PANEL: usize = SIDE * COLUMNS;
+
+/// Writes `Y = L⁻¹ W` in panels: each run of columns begins a new one, and its last is filled up with zeros.
+#[inline(always)]
+fn solve_coupling<S: Simd>(
+    simd: S,
+    group: &Group,
+    sums: &GroupSums,
+    lower: &Triangle,
+    solved: &mut Vec<f64>,
+) {
+    let n_coupled = group.columns.len();
+    solved.clear();
+    for &(place, _, length) in &group.runs {
+        let mut first = 0;
+        while first < length {
+            let n = (length - first).min(COLUMNS);
+            let mut panel = [0.0; PANEL];
+            for k in 0..SIDE {
+                let row = k * n_coupled + place + first;
+                panel[k * COLUMNS..k * COLUMNS + n].copy_from_slice(&sums.coupling[row..row + n]);
+            }
+            let (vectors, _) = S::as_mut_simd_f64s(&mut panel);
+            let n_parts = vectors.len() / SIDE;
+            for part in 0..n_parts {
+                for i in 0..SIDE {
+                    let mut x = vectors[i * n_parts + part];
+                    for k in 0..i {
+                        x = simd.negate_mul_add_f64s(
+                            simd.splat_f64s(lower[i][k]),
+                            vectors[k * n_parts + part],
+                            x,
+                        );
+                    }
+                    vectors[i * n_parts + part] = simd.mul_f64s(x, simd.splat_f64s(lower[i][i]));
                 }
             }
-            add_outer(simd, n, group, &into.solved, &mut into.matrix);
+            solved.extend_from_slice(&panel);
+            first += COLUMNS;
         }
     }
 }
 
-/// Applies the inverse of `lower` to `SIDE` rows of `n` numbers.
+/// Adds `Yᵀ L⁻¹ g`.
 #[inline(always)]
-fn forward_rows<S: Simd>(simd: S, lower: &Triangle, rows: &mut [f64], n: usize) {
-    for i in 0..SIDE {
-        let (above, from_here) = rows.split_at_mut(i * n);
-        let row = &mut from_here[..n];
-        for (k, above) in above.chunks_exact(n).enumerate() {
-            let factor = simd.splat_f64s(-lower[i][k]);
-            let (head, tail) = S::as_mut_simd_f64s(row);
-            let (above_head, above_tail) = S::as_simd_f64s(above);
-            for (x, &a) in head.iter_mut().zip(above_head) {
-                *x = simd.mul_add_f64s(factor, a, *x);
-            }
-            for (x, a) in tail.iter_mut().zip(above_tail) {
-                *x -= lower[i][k] * a;
+fn add_gradient<S: Simd>(simd: S, group: &Group, y: &[f64], gradient: &[f64; SIDE], sums: &mut [f64]) {
+    let mut panels = y.chunks_exact(PANEL);
+    for &(_, column, length) in &group.runs {
+        let targets = sums[column..].chunks_mut(COLUMNS).take(length.div_ceil(COLUMNS));
+        for (target, panel) in targets.zip(&mut panels) {
+            let (target, _) = S::as_mut_simd_f64s(target);
+            let (vectors, _) = S::as_simd_f64s(panel);
+            let n_parts = vectors.len() / SIDE;
+            for (part, target) in target.iter_mut().enumerate() {
+                for k in 0..SIDE {
+                    *target =
+                        simd.mul_add_f64s(simd.splat_f64s(gradient[k]), vectors[k * n_parts + part], *target);
+                }
             }
         }
-        let reciprocal = simd.splat_f64s(lower[i][i]);
-        let (head, tail) = S::as_mut_simd_f64s(row);
-        head.iter_mut().for_each(|x| *x = simd.mul_f64s(*x, reciprocal));
-        tail.iter_mut().for_each(|x| *x *= lower[i][i]);
     }
 }
 
-/// Adds `Yᵀ Y` to the upper triangle of the `n` by `n` matrix, where `Y` is `SIDE` rows over the group's columns.
+/// Adds `Yᵀ Y` to the upper triangle of a matrix with rows `stride` apart.
 ///
-/// Two rows of the result at a time keep twelve factors in registers.
+/// Panels begin left of the diagonal and end right of their run; what they add there is never read
+/// or zero.
 #[inline(always)]
-fn add_outer<S: Simd>(simd: S, n: usize, group: &Group, y: &[f64], matrix: &mut [f64]) {
-    let n_coupled = group.columns.len();
-    // Plain loops: closures would be functions without the caller's SIMD instructions.
-    let mut y_rows: [&[f64]; SIDE] = [&[]; SIDE];
-    for (k, row) in y_rows.iter_mut().enumerate() {
-        *row = &y[k * n_coupled..(k + 1) * n_coupled];
-    }
-    let mut place = 0;
-    while place < n_coupled {
-        let column = group.columns[place] as usize;
-        let pair = place + 1 < n_coupled && group.columns[place + 1] as usize == column + 1;
-        let mut factors = [[0.0; SIDE]; 2];
-        for k in 0..SIDE {
-            factors[0][k] = y_rows[k][place];
-            factors[1][k] = if pair { y_rows[k][place + 1] } else { 0.0 };
-        }
-        let (first, second) = matrix[column * n..].split_at_mut(n);
-        for &(run_place, run_column, run_length) in &group.runs {
-            if run_place + run_length <= place {
-                continue;
-            }
-            // Within the run that holds the diagonal, what is left of it is skipped.
-            let skip = place.saturating_sub(run_place);
-            let (from, to) = (run_column + skip, run_column + run_length);
-            let mut segments = y_rows;
-            for segment in &mut segments {
-                *segment = &segment[run_place + skip..run_place + run_length];
-            }
-            let target = &mut first[from..to];
-            if pair {
-                add_two_rows(simd, [target, &mut second[from..to]], &segments, &factors);
-            } else {
-                add_row(simd, target, &segments, &factors[0]);
+fn add_outer<S: Simd>(simd: S, stride: usize, group: &Group, y: &[f64], matrix: &mut [f64]) {
+    let mut first_panel = 0;
+    for (run_idx, &(_, column, length)) in group.runs.iter().enumerate() {
+        let runs = &group.runs[run_idx..];
+        let mut row = 0;
+        // Four rows at once keep their 24 factors in registers, where there are 32.
+        if S::REGISTER_COUNT >= 32 {
+            while row + 4 <= length {
+                let rows = &mut matrix[(column + row) * stride..(column + row + 4) * stride];
+                add_rows::<S, 4>(simd, stride, runs, y, first_panel, row, rows);
+                row += 4;
             }
         }
-        place += if pair { 2 } else { 1 };
+        while row < length {
+            let rows = &mut matrix[(column + row) * stride..(column + row + 1) * stride];
+            add_rows::<S, 1>(simd, stride, runs, y, first_panel, row, rows);
+            row += 1;
+        }
+        first_panel += length.div_ceil(COLUMNS);
     }
 }
 
+/// Adds `R` rows of `Yᵀ Y`, those from `row` on of the first of `runs`.
 #[inline(always)]
-fn add_two_rows<S: Simd>(
+fn add_rows<S: Simd, const R: usize>(
     simd: S,
-    targets: [&mut [f64]; 2],
-    segments: &[&[f64]; SIDE],
-    factors: &[[f64; SIDE]; 2],
+    stride: usize,
+    runs: &[(usize, usize, usize)],
+    y: &[f64],
+    first_panel: usize,
+    row: usize,
+    rows: &mut [f64],
 ) {
-    let [first, second] = targets;
-    let mut splat = [[simd.splat_f64s(0.0); SIDE]; 2];
-    for r in 0..2 {
-        for k in 0..SIDE {
-            splat[r][k] = simd.splat_f64s(factors[r][k]);
+    let mut factors = [[simd.splat_f64s(0.0); SIDE]; R];
+    for (r, factors) in factors.iter_mut().enumerate() {
+        let panel = &y[(first_panel + (row + r) / COLUMNS) * PANEL..][..PANEL];
+        for (k, factor) in factors.iter_mut().enumerate() {
+            *factor = simd.splat_f64s(panel[k * COLUMNS + (row + r) % COLUMNS]);
         }
     }
-    let (first_head, first_tail) = S::as_mut_simd_f64s(first);
-    let (second_head, second_tail) = S::as_mut_simd_f64s(second);
-    let n_head = first_head.len();
-    let mut heads: [&[S::f64s]; SIDE] = [&[]; SIDE];
-    for k in 0..SIDE {
-        heads[k] = &S::as_simd_f64s(segments[k]).0[..n_head];
-    }
-    let second_head = &mut second_head[..n_head];
-    for i in 0..n_head {
-        let (mut a, mut b) = (first_head[i], second_head[i]);
-        for k in 0..SIDE {
-            let y = heads[k][i];
-            a = simd.mul_add_f64s(splat[0][k], y, a);
-            b = simd.mul_add_f64s(splat[1][k], y, b);
+    let mut panel_idx = first_panel + row / COLUMNS;
+    for (run_idx, &(_, column, length)) in runs.iter().enumerate() {
+        // In the run that holds the diagonal, the panels left of it are skipped.
+        let skipped = if run_idx == 0 { row / COLUMNS } else { 0 };
+        let mut target = column + skipped * COLUMNS;
+        for _ in skipped..length.div_ceil(COLUMNS) {
+            let (vectors, _) = S::as_simd_f64s(&y[panel_idx * PANEL..(panel_idx + 1) * PANEL]);
+            let n_parts = vectors.len() / SIDE;
+            for part in 0..n_parts {
+                let at = target + part * S::F64_LANES;
+                let mut sums = [simd.splat_f64s(0.0); R];
+                for (r, sum) in sums.iter_mut().enumerate() {
+                    *sum = S::as_simd_f64s(&rows[r * stride + at..r * stride + at + S::F64_LANES]).0[0];
+                }
+                for k in 0..SIDE {
+                    let vector = vectors[k * n_parts + part];
+                    for r in 0..R {
+                        sums[r] = simd.mul_add_f64s(factors[r][k], vector, sums[r]);
+                    }
+                }
+                for (r, sum) in sums.iter().enumerate() {
+                    S::as_mut_simd_f64s(&mut rows[r * stride + at..r * stride + at + S::F64_LANES]).0[0] =
+                        *sum;
+                }
+            }
+            panel_idx += 1;
+            target += COLUMNS;
         }
-        (first_head[i], second_head[i]) = (a, b);
-    }
-    if !first_tail.is_empty() {
-        let (mut a, mut b) = (simd.partial_load_f64s(first_tail), simd.partial_load_f64s(second_tail));
-        for k in 0..SIDE {
-            let y = simd.partial_load_f64s(S::as_simd_f64s(segments[k]).1);
-            a = simd.mul_add_f64s(splat[0][k], y, a);
-            b = simd.mul_add_f64s(splat[1][k], y, b);
-        }
-        simd.partial_store_f64s(first_tail, a);
-        simd.partial_store_f64s(second_tail, b);
     }
 }
 
-#[inline(always)]
-fn add_row<S: Simd>(simd: S, target: &mut [f64], segments: &[&[f64]; SIDE], factors: &[f64; SIDE]) {
-    let (head, tail) = S::as_mut_simd_f64s(target);
-    for (k, segment) in segments.iter().enumerate() {
-        let factor = simd.splat_f64s(factors[k]);
-        let (segment_head, segment_tail) = S::as_simd_f64s(segment);
-        for (x, &y) in head.iter_mut().zip(segment_head) {
-            *x = simd.mul_add_f64s(factor, y, *x);
-        }
-        for (x, y) in tail.iter_mut().zip(segment_tail) {
-            *x += factors[k] * y;
-        }
-    }
+/// Returns the distance of rows in a partial sum of `n` columns: panels may end up to seven columns further.
+pub(crate) fn row_stride(n: usize) -> usize {
+    n + COLUMNS
 }

@@ -68,15 +68,25 @@ impl fmt::Display for Stop {
             Stop::PredictedDecrease { predicted, below } => {
                 write!(f, "converged: predicted decrease {predicted:.1e} is below {below:.1e}")
             }
-            Stop::Exact { rms, below } => write!(f, "converged: residuals of {rms:.1e} sigma are below {below:.1e}"),
+            Stop::Exact { rms, below } => {
+                write!(f, "converged: residuals of {rms:.1e} sigma are below {below:.1e}")
+            }
             Stop::Rounding { predicted, below } => {
-                write!(f, "converged: predicted decrease {predicted:.1e} is lost in the cost's rounding, {below:.1e}")
+                write!(
+                    f,
+                    "converged: predicted decrease {predicted:.1e} is lost in the cost's rounding, {below:.1e}"
+                )
             }
             Stop::NoStep { damping, above } => {
-                write!(f, "not converged: no step lowers the cost at damping {damping:.1e}, above {above:.1e}")
+                write!(
+                    f,
+                    "not converged: no step lowers the cost at damping {damping:.1e}, above {above:.1e}"
+                )
             }
             Stop::Iterations { count } => write!(f, "not converged: all {count} iterations are used up"),
-            Stop::TimeLimit { seconds } => write!(f, "not converged: the time limit of {seconds} s is used up"),
+            Stop::TimeLimit { seconds } => {
+                write!(f, "not converged: the time limit of {seconds} s is used up")
+            }
             Stop::Cancelled => write!(f, "not converged: cancelled"),
             Stop::NotStarted => write!(f, "not converged: never started"),
         }

@@ -136,7 +136,11 @@ impl Structure {
         let mut signature_of: BTreeMap<Vec<usize>, usize> = BTreeMap::new();
         for (eliminated, term_idxs) in members {
             let reduced_blocks = |term_idx: usize| {
-                problem.terms[term_idx].blocks().iter().map(|block| block.0).filter(|&block| !is_eliminated(block))
+                problem.terms[term_idx]
+                    .blocks()
+                    .iter()
+                    .map(|block| block.0)
+                    .filter(|&block| !is_eliminated(block))
             };
             let mut columns: Vec<u32> = Vec::new();
             if eliminated.is_some() {
@@ -171,7 +175,13 @@ impl Structure {
                     }
                     n_columns = end;
                 }
-                self.terms.push(TermPlace { term_idx, signature, eliminated: eliminated_columns, n_columns, coupling });
+                self.terms.push(TermPlace {
+                    term_idx,
+                    signature,
+                    eliminated: eliminated_columns,
+                    n_columns,
+                    coupling,
+                });
             }
             let runs = runs(&columns);
             self.groups.push(Group { eliminated, terms: first_term..self.terms.len(), columns, runs });
@@ -181,7 +191,10 @@ impl Structure {
     /// Cuts the groups into chunks of about equal work.
     fn cut_chunks(&mut self, problem: &Problem<'_>) {
         let rows = |group: &Group| -> usize {
-            self.terms[group.terms.clone()].iter().map(|term| problem.terms[term.term_idx].row_count() + 16).sum()
+            self.terms[group.terms.clone()]
+                .iter()
+                .map(|term| problem.terms[term.term_idx].row_count() + 16)
+                .sum()
         };
         let weights: Vec<usize> = self.groups.iter().map(rows).collect();
         self.chunks = cut(&weights, MAX_CHUNKS);
@@ -241,7 +254,9 @@ mod tests {
 
     #[test]
     fn cuts_cover_everything_once() {
-        for (weights, n_parts) in [(vec![1; 100], 16), (vec![5], 16), (vec![], 4), (vec![0, 0, 7, 0], 3), (vec![9, 1, 1], 2)] {
+        for (weights, n_parts) in
+            [(vec![1; 100], 16), (vec![5], 16), (vec![], 4), (vec![0, 0, 7, 0], 3), (vec![9, 1, 1], 2)]
+        {
             let parts = cut(&weights, n_parts);
             let covered: Vec<usize> = parts.iter().cloned().flatten().collect();
             assert_eq!(covered, (0..weights.len()).collect::<Vec<_>>());

@@ -40,7 +40,11 @@ pub(super) fn linearize_distortion<T: Scalar, const N: usize>(lens: &[f64], x: T
     let (mut radial, mut slope, mut inverse_denominator);
     // The polynomials and their derivatives by r².
     if N >= 5 {
-        radial = x.like(lens[4]).mul_add(r2, x.like(lens[1])).mul_add(r2, x.like(lens[0])).mul_add(r2, r2.like(1.0));
+        radial = x
+            .like(lens[4])
+            .mul_add(r2, x.like(lens[1]))
+            .mul_add(r2, x.like(lens[0]))
+            .mul_add(r2, r2.like(1.0));
         slope = r2.like(3.0 * lens[4]).mul_add(r2, r2.like(2.0 * lens[1])).mul_add(r2, x.like(lens[0]));
     } else {
         radial = x.like(lens[1]).mul_add(r2, x.like(lens[0])).mul_add(r2, r2.like(1.0));
@@ -48,8 +52,13 @@ pub(super) fn linearize_distortion<T: Scalar, const N: usize>(lens: &[f64], x: T
     }
     inverse_denominator = r2.like(1.0);
     if N >= 8 {
-        let denominator = x.like(lens[7]).mul_add(r2, x.like(lens[6])).mul_add(r2, x.like(lens[5])).mul_add(r2, r2.like(1.0));
-        let denominator_slope = r2.like(3.0 * lens[7]).mul_add(r2, r2.like(2.0 * lens[6])).mul_add(r2, x.like(lens[5]));
+        let denominator = x
+            .like(lens[7])
+            .mul_add(r2, x.like(lens[6]))
+            .mul_add(r2, x.like(lens[5]))
+            .mul_add(r2, r2.like(1.0));
+        let denominator_slope =
+            r2.like(3.0 * lens[7]).mul_add(r2, r2.like(2.0 * lens[6])).mul_add(r2, x.like(lens[5]));
         inverse_denominator = r2.like(1.0) / denominator;
         radial = radial * inverse_denominator;
         slope = (slope - radial * denominator_slope) * inverse_denominator;

@@ -9,7 +9,8 @@ use boresight_geometry::Scalar;
 /// Returns the point on the tilted sensor, or `None` behind it. `angles` are tau_x, tau_y in radians.
 #[inline(always)]
 pub(super) fn tilt<T: Scalar>(angles: [T; 2], [x, y]: [T; 2]) -> Option<[T; 2]> {
-    let [(sin_x, cos_x), (sin_y, cos_y)] = [(angles[0].sin(), angles[0].cos()), (angles[1].sin(), angles[1].cos())];
+    let [(sin_x, cos_x), (sin_y, cos_y)] =
+        [(angles[0].sin(), angles[0].cos()), (angles[1].sin(), angles[1].cos())];
     let depth = sin_y.mul_add(x, cos_y * (cos_x - sin_x * y));
     if !depth.all_above(0.0) {
         return None;

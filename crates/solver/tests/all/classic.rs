@@ -29,7 +29,7 @@ fn rosenbrock(x: &[f64]) -> Vec<Vec<f64>> {
 #[test]
 fn rosenbrock_from_the_far_side_of_the_valley() {
     // Residuals of 1e-11 are parameters of 1e-11, times ten in the valley's direction.
-    check(rosenbrock, &[-1.2, 1.0], &[1.0, 1.0], 1e-10, counters(22, 37, 36, 14));
+    check(rosenbrock, &[-1.2, 1.0], &[1.0, 1.0], 1e-10, counters(20, 36, 35, 15));
 }
 
 fn powell_singular(x: &[f64]) -> Vec<Vec<f64>> {
@@ -59,7 +59,7 @@ fn beale(x: &[f64]) -> Vec<Vec<f64>> {
 
 #[test]
 fn beale_at_the_usual_start() {
-    check(beale, &[1.0, 1.0], &[3.0, 0.5], 1e-10, counters(8, 12, 11, 3));
+    check(beale, &[1.0, 1.0], &[3.0, 0.5], 1e-10, counters(7, 11, 10, 3));
 }
 
 fn helical_valley(x: &[f64]) -> Vec<Vec<f64>> {
@@ -68,7 +68,12 @@ fn helical_valley(x: &[f64]) -> Vec<Vec<f64>> {
     let angle = x[1].atan2(x[0]) / turn;
     let radius = square.sqrt();
     vec![
-        vec![100.0 * x[1] / (turn * square), -100.0 * x[0] / (turn * square), 10.0, 10.0 * (x[2] - 10.0 * angle)],
+        vec![
+            100.0 * x[1] / (turn * square),
+            -100.0 * x[0] / (turn * square),
+            10.0,
+            10.0 * (x[2] - 10.0 * angle),
+        ],
         vec![10.0 * x[0] / radius, 10.0 * x[1] / radius, 0.0, 10.0 * (radius - 1.0)],
         vec![0.0, 0.0, 1.0, x[2]],
     ]

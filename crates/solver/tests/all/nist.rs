@@ -149,7 +149,10 @@ fn check(text: &str, model: Model, outcomes: [Outcome; 2]) {
     // The sum has eleven digits, but less of them are right at the eleven digits of the parameters
     // where these are strongly correlated.
     let at_certified = sum(&dataset.certified);
-    assert!(digits(&[at_certified], &[dataset.residual_sum_of_squares]) > 7.0, "wrong data: {at_certified:e}");
+    assert!(
+        digits(&[at_certified], &[dataset.residual_sum_of_squares]) > 7.0,
+        "wrong data: {at_certified:e}"
+    );
     for (start, outcome) in dataset.starts.iter().zip(outcomes) {
         check_start(&dataset, model, start, outcome);
     }
@@ -161,7 +164,7 @@ fn check_start(dataset: &Dataset, model: Model, start: &[f64], outcome: Outcome)
     let block = parameters.add_vector(start);
     let term = Function::new(&[block], n_rows, |values| rows(dataset, model, values.vector(block)));
     let problem = Problem::new(&parameters, vec![&term]).expect("the problem is sound");
-    // Two of these take thousands of steps. A decrease of 1e-16 variances leaves 1e-8 sigmas to go.
+    // MGH10's first start takes five thousand steps. A decrease of 1e-16 variances is 1e-8 sigmas.
     let exacting = SolveOptions { max_iterations: 10_000, decrease_below: 1e-16, ..SolveOptions::default() };
     let solution = solve(&problem, &exacting).expect("the problem can be solved");
     let found = format!("from {start:?}: {solution:?}");

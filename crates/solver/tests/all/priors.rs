@@ -101,7 +101,8 @@ fn a_single_prior_is_met_exactly_and_has_its_own_covariance() {
     let problem = Problem::new(&parameters, vec![&prior]).expect("the problem is sound");
     let solution = solve(&problem, &SolveOptions::default()).expect("the problem can be solved");
     assert!(matches!(solution.stop, Stop::Exact { .. }), "{solution:?}");
-    let covariance = covariance(&problem, &solution.values, &SolveOptions::default()).expect("it is constrained");
+    let covariance =
+        covariance(&problem, &solution.values, &SolveOptions::default()).expect("it is constrained");
     let found = covariance.eliminated(block).expect("the block was eliminated");
     for k in 0..3 {
         // At the mean a left perturbation of the rotation is the rotation vector's error itself.

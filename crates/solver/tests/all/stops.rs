@@ -57,7 +57,8 @@ fn a_stop_without_a_step_is_not_reported() {
     let term = Function::new(&[block], 2, |values| Some(vec![vec![1.0, values.vector(block)[0]]; 2]));
     let problem = Problem::new(&parameters, vec![&term]).expect("the problem is sound");
     let observer: Observer = Arc::new(|progress| panic!("{progress:?}"));
-    let solution = solve_observed(&problem, &SolveOptions::default(), Some(observer)).expect("it can be solved");
+    let solution =
+        solve_observed(&problem, &SolveOptions::default(), Some(observer)).expect("it can be solved");
     assert!(matches!(solution.stop, Stop::Exact { .. }), "{solution:?}");
 }
 

@@ -2,13 +2,17 @@
 
 use boresight_geometry::{Matrix3, Pose, Vector3, skew};
 use boresight_solver::{
-    BlockId, Counters, Elimination, GramMut, Parameters, Problem, Scratch, Solution, SolveOptions, Term, TermKind, Values, solve,
+    BlockId, Counters, Elimination, GramMut, Parameters, Problem, Scratch, Solution, SolveOptions, Term,
+    TermKind, Values, solve,
 };
 use faer::Mat;
 use faer::linalg::solvers::DenseSolveCore as _;
 
 /// The rows `[J r]` of a function at some values, or `None` where it is not defined.
 pub type Rows = Option<Vec<Vec<f64>>>;
+
+/// Computes residuals only.
+pub type Residuals<'a> = &'a dyn Fn(Values<'_>) -> Vec<f64>;
 
 /// A term that is a function of its blocks.
 pub struct Function<F> {
@@ -37,6 +41,7 @@ impl<F: Fn(Values<'_>) -> Rows + Send + Sync> Term for Function<F> {
     }
 
     fn linearize(&self, values: Values<'_>, gram: &mut GramMut<'_>, _: &mut Scratch) -> Option<f64> {
+        gram.clear();
         let mut cost = 0.0;
         for row in (self.rows)(values)? {
             let n = gram.size();
@@ -59,7 +64,12 @@ pub fn solve_plainly(parameters: &Parameters, terms: &[&dyn Term]) -> Solution {
 }
 
 /// Returns counters, for comparison with what a search counted.
-pub fn counters(iterations: usize, evaluations: usize, factorizations: usize, rejected_steps: usize) -> Counters {
+pub fn counters(
+    iterations: usize,
+    evaluations: usize,
+    factorizations: usize,
+    rejected_steps: usize,
+) -> Counters {
     Counters { iterations, evaluations, factorizations, rejected_steps }
 }
 
@@ -91,21 +101,22 @@ pub fn moved(parameters: &Parameters, column: usize, distance: f64) -> Vec<f64> 
 /// Returns a term's Gram matrix (both triangles) and cost at `values`.
 pub fn gram_of(term: &dyn Term, parameters: &Parameters, values: &[f64]) -> Option<(Mat<f64>, f64)> {
     let n = term.blocks().iter().map(|&block| parameters.columns(block).len()).sum::<usize>() + 1;
-    let mut entries = vec![0.0; n * n];
+    // What a term finds there is of another term; it must not shine through.
+    let mut entries = vec![f64::NAN; n * n];
     let cost =
         term.linearize(parameters.at(values), &mut GramMut::new(&mut entries, n), &mut Scratch::default())?;
     Some((Mat::from_fn(n, n, |a, b| entries[a.min(b) * n + a.max(b)]), cost))
 }
 
 /// Checks what any term reports at the first values: its gradient is half that of its cost, its
-/// matrix is a Gram matrix, and evaluating it twice gives the same bits. With `residuals`, the
+/// matrix is a Gram matrix, and evaluating it twice gives the same bits, whatever lay there before. With `residuals`, the
 /// whole matrix is also held against their differences.
 ///
 /// `step` is that of the differences, `tolerance` is relative to the largest entry compared.
 pub fn check_term(
     parameters: &Parameters,
     term: &dyn Term,
-    residuals: Option<&dyn Fn(Values<'_>) -> Vec<f64>>,
+    residuals: Option<Residuals<'_>>,
     step: f64,
     tolerance: f64,
 ) {
@@ -121,7 +132,8 @@ pub fn check_term(
     let along = |k: usize, distance: f64| moved(parameters, columns[k], distance);
     let gradient: Vec<f64> = (0..n)
         .map(|k| {
-            derivative(step, |d| vec![gram_of(term, parameters, &along(k, d)).expect("defined nearby").1])[0] / 2.0
+            derivative(step, |d| vec![gram_of(term, parameters, &along(k, d)).expect("defined nearby").1])[0]
+                / 2.0
         })
         .collect();
     // The gradient is a difference of costs, so its rounding is that of the cost.
@@ -165,7 +177,8 @@ pub fn dense_covariance(
         })
         .map(|(_, column)| column)
         .collect();
-    let column = |&column: &usize| derivative(step, |d| residuals(parameters.at(&moved(parameters, column, d))));
+    let column =
+        |&column: &usize| derivative(step, |d| residuals(parameters.at(&moved(parameters, column, d))));
     let jacobian: Vec<Vec<f64>> = free.iter().map(column).collect();
     let jacobian = Mat::from_fn(jacobian[0].len(), free.len(), |row, column| jacobian[column][row]);
     let inverse = (jacobian.transpose() * &jacobian).partial_piv_lu().inverse();
@@ -238,7 +251,7 @@ impl Clouds {
         Self { parameters, sensors, poses, sights, points, measured }
     }
 
-    /// Returns a sight's rows of `[J r]` over its sensor and its pose, in units of the noise.
+    /// Returns a sight's rows of `[J r]` over its blocks, in units of the noise.
     pub fn rows(&self, sight: usize, values: Values<'_>) -> Vec<Vec<f64>> {
         let (sensor, view) = self.sights[sight];
         let distort = distortion(values.vector(self.sensors[sensor]));
@@ -249,13 +262,16 @@ impl Clouds {
             let error = distort * seen - measured;
             let by_rotation = distort * -skew(&seen);
             for k in 0..3 {
-                let mut row = vec![0.0; 13];
+                let mut row = [0.0; 13];
                 for (column, &(_, j)) in TRIANGLE.iter().enumerate().filter(|(_, entry)| entry.0 == k) {
                     row[column] = seen[j];
                 }
                 for j in 0..3 {
                     row[6 + j] = by_rotation[(k, j)];
                     row[9 + j] = distort[(k, j)];
+                }
+                if sight % 2 == 1 {
+                    row[..12].rotate_left(6);
                 }
                 row[12] = error[k];
                 rows.push(row.iter().map(|entry| entry * 100.0).collect());
@@ -269,13 +285,23 @@ impl Clouds {
         (0..self.sights.len()).flat_map(|sight| self.rows(sight, values)).map(|row| row[12]).collect()
     }
 
+    /// Returns a sight's blocks: sensor and pose, or pose and sensor, because both must do.
+    fn sight_blocks(&self, sight: usize) -> [BlockId; 2] {
+        let (sensor, view) = self.sights[sight];
+        let mut blocks = [self.sensors[sensor], self.poses[view]];
+        if sight % 2 == 1 {
+            blocks.reverse();
+        }
+        blocks
+    }
+
     /// Returns the terms, one for each sight.
     pub fn terms(&self) -> Vec<Function<impl Fn(Values<'_>) -> Rows + Send + Sync + '_>> {
-        let term = |(sight, &(sensor, view)): (usize, &(usize, usize))| {
-            let blocks = [self.sensors[sensor], self.poses[view]];
-            Function::new(&blocks, 3 * self.points.len(), move |values| Some(self.rows(sight, values)))
+        let term = |sight: usize| {
+            let n_rows = 3 * self.points.len();
+            Function::new(&self.sight_blocks(sight), n_rows, move |values| Some(self.rows(sight, values)))
         };
-        self.sights.iter().enumerate().map(term).collect()
+        (0..self.sights.len()).map(term).collect()
     }
 
     /// Returns all blocks.
