@@ -1,0 +1,281 @@
+//! Loading a job: a job file or bare corner files become a dataset, options and hashes of the inputs.
+
+use std::path::{Path, PathBuf};
+
+use boresight_data::{Calibration, Dataset, Finding, Target};
+
+use crate::assemble::assemble;
+use crate::calibration_json::calibration_from_json;
+use crate::format::corner_reader;
+use crate::job_file::{JobFile, TargetDescription, name_of, read_job_file, read_points};
+use crate::{Error, Place};
+
+/// The name of the job file in a dataset's folder.
+pub const JOB_FILE: &str = "boresight.toml";
+
+/// A job, ready to be calibrated.
+#[derive(Clone, Debug)]
+pub struct Job {
+    /// What was seen.
+    pub dataset: Dataset,
+    /// The job file's `[options]`, which the pipeline reads; empty without a job file.
+    pub options: toml::Table,
+    /// The line of the job file on which `[options]` begins, with the file, for error messages.
+    pub options_place: Option<Place>,
+    /// Each input file as it was named, with the blake3 hash of its bytes in hexadecimal.
+    pub inputs: Vec<(String, String)>,
+    /// What was noticed while reading.
+    pub findings: Vec<Finding>,
+}
+
+/// What the command line says in place of a job file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct JobOverrides {
+    /// The target; `None` takes the job file's.
+    pub target: Option<Target>,
+    /// Width and height of the image of every camera in pixels; `None` takes the job file's.
+    pub image_size: Option<[u32; 2]>,
+    /// The standard deviation of a corner in pixels, of level 0 or weight 1; `None` takes the job file's, or 1.
+    pub sigma_px: Option<f64>,
+}
+
+/// Loads a job from `inputs`: a folder with a `boresight.toml`, a job file, corner files, or a job and corner files.
+///
+/// Corner files beside a job take the place of those that the job names.
+pub fn load_job(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Job, Error> {
+    let (jobs, corner_files): (Vec<&PathBuf>, Vec<&PathBuf>) = inputs
+        .iter()
+        .partition(|path| path.is_dir() || path.extension().is_some_and(|extension| extension == "toml"));
+    let mut hashes = Vec::new();
+    let (folder, job, options_place) = match jobs[..] {
+        [] => {
+            let nothing = JobFile {
+                target: None,
+                cameras: Vec::new(),
+                corners: Vec::new(),
+                sigma_px: None,
+                options: toml::Table::new(),
+            };
+            (PathBuf::new(), nothing, None)
+        }
+        [path] => {
+            let path = if path.is_dir() { find_job_file(path)? } else { path.clone() };
+            let bytes = read(&path)?;
+            hashes.push((name_of(&path), hash(&bytes)));
+            let file = path.display().to_string();
+            let job = read_job_file(&file, &bytes)?;
+            let line = bytes
+                .split(|&byte| byte == b'\n')
+                .position(|line| line.trim_ascii().starts_with(b"[options]"));
+            let place = line.map(|line| Place::line(&file, line + 1));
+            (path.parent().unwrap_or(Path::new("")).to_owned(), job, place)
+        }
+        [first, second, ..] => {
+            let message = format!("{} is a second job beside {}", second.display(), first.display());
+            return Err(config(second, message, "calibrate one job at a time"));
+        }
+    };
+
+    let target = match (&overrides.target, job.target) {
+        (Some(target), _) => target.clone(),
+        (None, Some(TargetDescription::Here(target))) => target,
+        (None, Some(TargetDescription::Points(name))) => {
+            let path = folder.join(&name);
+            let bytes = read(&path)?;
+            hashes.push((name, hash(&bytes)));
+            read_points(&path.display().to_string(), &bytes)?
+        }
+        (None, None) => {
+            let place =
+                jobs.first().or(corner_files.first()).map_or(Path::new("the input"), |path| path.as_path());
+            let fix = "add --target chessboard:COLUMNSxROWS:SPACING, such as chessboard:9x6:25mm, or a [target] to the job";
+            return Err(config(place, "the target is not known".to_owned(), fix));
+        }
+    };
+    let sigma_px = overrides.sigma_px.or(job.sigma_px).unwrap_or(1.0);
+    if !(1e-6..=1e3).contains(&sigma_px) {
+        let message =
+            format!("sigma_px is {sigma_px}: the standard deviation of a corner in pixels must be positive");
+        return Err(config(Path::new("options"), message, "leave it out for 1 px"));
+    }
+
+    let named: Vec<(String, PathBuf)> = if corner_files.is_empty() {
+        job.corners.into_iter().map(|name| (name.clone(), folder.join(name))).collect()
+    } else {
+        corner_files.into_iter().map(|path| (path.display().to_string(), path.clone())).collect()
+    };
+    if named.is_empty() {
+        let place = jobs.first().map_or(Path::new("the input"), |path| path.as_path());
+        let fix = "add [input] corners = [\"corners.csv\"] to the job, or name corner files (.csv or .vnl)";
+        return Err(config(place, "there are no corner files".to_owned(), fix));
+    }
+    let mut files = Vec::new();
+    for (name, path) in named {
+        let bytes = read(&path)?;
+        let file = path.display().to_string();
+        hashes.push((name, hash(&bytes)));
+        let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+        let Some(read_corners) = extension.and_then(|extension| corner_reader(&extension)) else {
+            return Err(config(
+                &path,
+                "this is no corner file".to_owned(),
+                "corner files end in .csv or .vnl",
+            ));
+        };
+        files.push(read_corners(&file, &bytes, &target, sigma_px)?);
+    }
+    let mut cameras = job.cameras;
+    if let Some(image_size) = overrides.image_size {
+        cameras.iter_mut().for_each(|camera| camera.image_size = image_size);
+    }
+    let (dataset, findings) = assemble(files, &cameras, overrides.image_size, target)?;
+    Ok(Job { dataset, options: job.options, options_place, inputs: hashes, findings })
+}
+
+/// Returns the blake3 hash of `bytes` in hexadecimal.
+pub fn hash(bytes: &[u8]) -> String {
+    blake3::hash(bytes).to_hex().to_string()
+}
+
+/// Reads a `calibration.json`, or that in a folder, with its findings and without the residuals of the corners.
+pub fn read_calibration(path: &Path) -> Result<(Calibration, Vec<Finding>), Error> {
+    let path = if path.is_dir() { path.join("calibration.json") } else { path.to_owned() };
+    calibration_from_json(&path.display().to_string(), &read(&path)?)
+}
+
+/// Returns the bytes of a file.
+pub(crate) fn read(path: &Path) -> Result<Vec<u8>, Error> {
+    std::fs::read(path).map_err(|source| Error::Read { file: path.display().to_string(), source })
+}
+
+fn find_job_file(folder: &Path) -> Result<PathBuf, Error> {
+    let path = folder.join(JOB_FILE);
+    if path.is_file() {
+        return Ok(path);
+    }
+    let message = format!("the folder has no {JOB_FILE}");
+    Err(config(folder, message, "name its corner files and --target, or write a job file"))
+}
+
+fn config(path: &Path, message: String, fix: &str) -> Error {
+    Error::Config { place: Place::file(path.display().to_string()), message, fix: Some(fix.to_owned()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Kind;
+
+    const JOB: &str = r#"
+[target]
+kind = "chessboard"
+columns = 3
+rows = 2
+spacing_m = 0.1
+[[camera]]
+name = "left"
+image_size = [640, 480]
+[input]
+corners = ["corners.csv"]
+[options]
+model = "pinhole"
+"#;
+
+    fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, text) in files {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        folder
+    }
+
+    fn vnl(n: usize) -> String {
+        let rows: String = (0..n).map(|i| format!("left1.png {i} {i} 0\n")).collect();
+        format!("# filename x y level\n{rows}")
+    }
+
+    #[test]
+    fn a_folder_is_loaded_and_corner_files_beside_it_take_over() {
+        let csv = "camera,view,point,u,v\nleft,1,0,5,6\n";
+        let folder = folder(&[(JOB_FILE, JOB), ("corners.csv", csv), ("other.vnl", &vnl(6))]);
+        let job = load_job(&[folder.path().to_owned()], &JobOverrides::default()).unwrap();
+        assert_eq!(job.dataset.observation_count(), 1);
+        assert_eq!(job.options["model"].as_str(), Some("pinhole"));
+        assert_eq!(job.options_place.unwrap().line, Some(12));
+        let names: Vec<&str> = job.inputs.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(names, [JOB_FILE, "corners.csv"]);
+        assert_eq!(job.inputs[1].1, hash(csv.as_bytes()));
+
+        let inputs = [folder.path().join(JOB_FILE), folder.path().join("other.vnl")];
+        let job = load_job(&inputs, &JobOverrides::default()).unwrap();
+        assert_eq!(job.dataset.observation_count(), 6);
+        assert_eq!(job.dataset.frames.as_slice()[0].name, "left1");
+    }
+
+    #[test]
+    fn corner_files_alone_need_a_target_and_an_image_size() {
+        let folder = folder(&[("c.vnl", &vnl(6)), ("c.txt", "")]);
+        let inputs = [folder.path().join("c.vnl")];
+        let fails = |inputs: &[PathBuf], overrides: &JobOverrides| load_job(inputs, overrides).unwrap_err();
+        let mut overrides = JobOverrides::default();
+        let error = fails(&inputs, &overrides);
+        assert_eq!(error.kind(), Kind::Usage);
+        assert!(error.hint().unwrap().contains("--target"), "{error}");
+        overrides.target = Some(crate::parse_target("chessboard:3x2:5cm").unwrap());
+        assert!(matches!(fails(&inputs, &overrides), Error::NoImageSize { .. }));
+        overrides.image_size = Some([100, 100]);
+        let job = load_job(&inputs, &overrides).unwrap();
+        assert_eq!(job.dataset.cameras.as_slice()[0].image_size, [100, 100]);
+
+        assert_eq!(fails(&[folder.path().to_owned()], &overrides).kind(), Kind::Usage);
+        assert_eq!(fails(&[folder.path().join("c.txt")], &overrides).kind(), Kind::Usage);
+        assert_eq!(fails(&[folder.path().join("gone.csv")], &overrides).kind(), Kind::Input);
+        assert_eq!(fails(&[], &overrides).kind(), Kind::Usage);
+    }
+
+    #[test]
+    fn the_recorded_stereo_pair_is_loaded() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../datasets/opencv-stereo");
+        let job = load_job(&[folder], &JobOverrides::default()).unwrap();
+        let Dataset { cameras, frames, views, .. } = &job.dataset;
+        assert_eq!((cameras.len(), frames.len(), views.len()), (2, 13, 26));
+        assert_eq!(job.dataset.observation_count(), 2 * 13 * 54);
+        assert!(job.findings.is_empty(), "{:?}", job.findings);
+    }
+
+    #[test]
+    fn recordings_of_others_are_loaded_where_present() {
+        let shared = Path::new("/work/shared/datasets");
+        for (file, target, cameras, frames, views) in [
+            ("stereo-opencv-left-right/derived/corners-opencv.vnl", "9x6:25mm", 2, 13, 26),
+            ("fisheye-stereo-stereopi/derived/corners-opencv.vnl", "9x6:25mm", 2, 49, 98),
+            ("rig3-trinocular-boofcv/derived/corners-opencv.vnl", "13x9:10mm", 3, 27, 79),
+            ("rig4-caliscope-4cam/derived/corners-opencv.vnl", "4x3:54mm", 4, 48, 157),
+            ("corners-mrcal-figueroa/derived/observations-opencv8.vnl", "10x10:77mm", 1, 186, 186),
+            // Two of its 89 images have no board.
+            ("corners-mrcal-photonvision2023/raw/corners.vnl", "10x10:58.8mm", 1, 87, 87),
+        ] {
+            let path = shared.join(file);
+            if !path.exists() {
+                continue;
+            }
+            let target = Some(crate::parse_target(&format!("chessboard:{target}")).unwrap());
+            let overrides = JobOverrides { target, image_size: Some([10_000, 10_000]), sigma_px: None };
+            let dataset = load_job(&[path], &overrides).unwrap().dataset;
+            let found = (dataset.cameras.len(), dataset.frames.len(), dataset.views.len());
+            assert_eq!(found, (cameras, frames, views), "{file}");
+        }
+        let drcal = shared.join("corners-stereo-drcal/raw/corners.vnl");
+        if drcal.exists() {
+            let job = "[target]\nkind = \"chessboard\"\ncolumns = 13\nrows = 8\nspacing_m = 0.04\n\
+                [[camera]]\nname = \"l\"\nimage_size = [1280, 800]\nimages = \"*_000.png\"\n\
+                [[camera]]\nname = \"r\"\nimage_size = [1280, 800]\nimages = \"*_001.png\"\n";
+            let folder = folder(&[(JOB_FILE, job)]);
+            let dataset =
+                load_job(&[folder.path().to_owned(), drcal], &JobOverrides::default()).unwrap().dataset;
+            assert_eq!((dataset.cameras.len(), dataset.views.len()), (2, 432));
+            // The weight column is a weight: read as a level, it would double the sigma.
+            assert!(dataset.views.iter().flat_map(|view| &view.observations).any(|o| o.sigma_px == 1.0));
+        }
+    }
+}

@@ -1,0 +1,53 @@
+//! Recordings in, datasets and calibrations in and out: one file per format.
+//!
+//! [`load_job`] turns a job file, or corner files and a target, into a checked dataset.
+//! [`calibration_to_json`] and [`observations_to_parquet`] write a result, [`export`] writes it in the
+//! formats of others, and [`read_cameras`] reads cameras whatever file they are in. A format is a plug:
+//! one file, and one line in [`FORMATS`]. Where formats disagree with `docs/conventions.md`, the
+//! format's own file converts.
+//!
+//! Architecture invariant: nothing here calibrates or judges, and nothing prints. Files are written
+//! whole or not at all, and the same calibration gives the same bytes.
+
+mod assemble;
+mod atomic;
+mod calibration_document;
+mod calibration_json;
+mod cameramodel;
+mod corners_csv;
+mod corners_vnl;
+mod cursor;
+mod error;
+mod file_storage;
+mod format;
+mod h_matrix;
+mod image_names;
+mod job;
+mod job_file;
+mod json_text;
+mod number;
+mod observations_parquet;
+mod opencv_yaml;
+mod python_literal;
+#[cfg(test)]
+mod samples;
+mod seen;
+#[cfg(test)]
+mod speed_tests;
+mod target_spec;
+
+pub use atomic::write_atomically;
+pub use calibration_json::{CALIBRATION_SCHEMA, calibration_from_json, calibration_to_json};
+pub use error::{Error, Kind, Place};
+pub use format::{
+    FORMATS, Format, NamedCamera, NamedCovariance, OutputFile, cameras_from_bytes, closest_format, export,
+    read_cameras, write_files,
+};
+pub use h_matrix::{
+    CameraMatrices, MATRIX_SCHEMA, matrices, matrices_to_json, matrices_to_npy, matrices_to_text,
+};
+pub use job::{JOB_FILE, Job, JobOverrides, hash, load_job, read_calibration};
+pub use observations_parquet::{
+    OBSERVATIONS_SCHEMA, ObservationRow, attach_residuals, observations_to_parquet, read_observations,
+};
+pub use target_spec::parse_target;
