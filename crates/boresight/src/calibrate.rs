@@ -1,0 +1,97 @@
+//! From a job to a judged calibration.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use boresight_adjust::{Observer, adjust};
+use boresight_data::{Calibration, Dataset, Finding, Geometry, Provenance, RejectionReason, Shape};
+use boresight_io::Job;
+use boresight_seed::{LeftOut, SeedOptions, seed};
+use boresight_validate::{Verdict, verdict};
+
+use crate::VERSION;
+use crate::choices::ShapeChoice;
+use crate::error::Error;
+use crate::options::CalibrateOptions;
+use crate::select::select_cameras;
+
+/// Who follows a calibration while it runs, and may stop it.
+#[derive(Clone, Default)]
+pub struct Watch {
+    /// Hears of each iteration.
+    pub observer: Option<Observer>,
+    /// Stops the solve when it becomes true.
+    pub cancel: Option<Arc<AtomicBool>>,
+}
+
+/// What a job came to.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// The calibration, its provenance filled in.
+    pub calibration: Calibration,
+    /// What it was made from: the cameras and the target shape that the options chose.
+    pub dataset: Dataset,
+    /// What is doubtful about input and result, the gravest first.
+    pub findings: Vec<Finding>,
+    /// The findings in one word.
+    pub verdict: Verdict,
+    /// What the seed could not use and why, a sentence each.
+    pub left_out: Vec<String>,
+}
+
+/// Calibrates a job: chooses cameras and target shape, seeds, adjusts and judges.
+///
+/// Not converging is no error: the calibration's solve record tells, a finding says so, and the
+/// verdict is [`Verdict::Fail`].
+pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result<Outcome, Error> {
+    let mut dataset = select_cameras(&job.dataset, &options.cameras)?;
+    for target in dataset.targets.iter_mut() {
+        target.shape = match (&target.geometry, options.shape) {
+            (Geometry::Chessboard { .. }, ShapeChoice::Two) => Shape::Parabolic2,
+            (Geometry::Points { .. }, _) | (_, ShapeChoice::None) => Shape::Rigid,
+        };
+    }
+    let seed_options = SeedOptions { models: vec![options.model], ..SeedOptions::default() };
+    let seed = seed(&dataset, &seed_options)?;
+    let mut adjust_options = options.adjust_options(&dataset);
+    adjust_options.cancel = watch.cancel.clone();
+    let mut calibration = adjust(&dataset, &seed.scene, &adjust_options, watch.observer.clone())?;
+    say_why(&mut calibration, &dataset, &seed.left_out);
+    calibration.provenance = Provenance {
+        version: VERSION.to_owned(),
+        inputs: job.inputs.iter().cloned().collect(),
+        options: options.stated(),
+    };
+    let mut findings = boresight_validate::findings(&dataset, &calibration);
+    findings
+        .extend(job.findings.iter().filter(|finding| !is_of_other_camera(finding, job, &dataset)).cloned());
+    findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
+    let left_out = seed.left_out.iter().map(|fact| fact.describe(&dataset)).collect();
+    Ok(Outcome { calibration, verdict: verdict(&findings), dataset, findings, left_out })
+}
+
+/// Replaces what the adjustment knows of views that were left out by the seed's own reasons.
+fn say_why(calibration: &mut Calibration, dataset: &Dataset, left_out: &[LeftOut]) {
+    for rejection in &mut calibration.rejected {
+        let RejectionReason::LeftOut { why } = &mut rejection.reason else { continue };
+        let view = &dataset.views[rejection.view_idx];
+        let fact = left_out.iter().find(|fact| fact.view_idx() == Some(rejection.view_idx));
+        let fact = fact.or_else(|| {
+            left_out.iter().find(|fact| match fact {
+                LeftOut::TooFewViews { camera, .. }
+                | LeftOut::NoLens { camera, .. }
+                | LeftOut::Unconnected { camera, .. } => *camera == view.camera,
+                _ => false,
+            })
+        });
+        if let Some(fact) = fact {
+            *why = fact.describe(dataset);
+        }
+    }
+}
+
+/// Tells whether a finding about the input is about a camera that was not chosen.
+fn is_of_other_camera(finding: &Finding, job: &Job, chosen: &Dataset) -> bool {
+    let is_in = |dataset: &Dataset| dataset.cameras.iter().any(|camera| camera.name == finding.place);
+    is_in(&job.dataset) && !is_in(chosen)
+}

@@ -1,0 +1,200 @@
+//! The values of options as people write them, in a job file or on the command line.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// A value that an option does not take.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{value}` is not one of: {takes}")]
+pub struct BadChoice {
+    /// The value given.
+    pub value: String,
+    /// What the option takes.
+    pub takes: &'static str,
+}
+
+/// How the target may depart from its drawing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ShapeChoice {
+    /// Not at all.
+    None,
+    /// By two coefficients, a parabola along each side: mrcal's board warp. A target that is no
+    /// grid stays as drawn.
+    #[default]
+    Two,
+}
+
+impl FromStr for ShapeChoice {
+    type Err = BadChoice;
+
+    fn from_str(text: &str) -> Result<Self, BadChoice> {
+        match text {
+            "none" => Ok(Self::None),
+            "2" => Ok(Self::Two),
+            _ => Err(BadChoice { value: text.to_owned(), takes: "none, 2" }),
+        }
+    }
+}
+
+impl fmt::Display for ShapeChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::None => "none",
+            Self::Two => "2",
+        })
+    }
+}
+
+/// What keeps weakly constrained lens parameters in bounds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RegularizationChoice {
+    /// Nothing.
+    None,
+    /// Rational, thin-prism and tilt coefficients are believed near zero, mildly.
+    #[default]
+    Default,
+    /// The rows of mrcal 2.2, for comparisons at the same optimum.
+    Mrcal22,
+}
+
+impl FromStr for RegularizationChoice {
+    type Err = BadChoice;
+
+    fn from_str(text: &str) -> Result<Self, BadChoice> {
+        match text {
+            "none" => Ok(Self::None),
+            "default" => Ok(Self::Default),
+            "mrcal-2.2" => Ok(Self::Mrcal22),
+            _ => Err(BadChoice { value: text.to_owned(), takes: "none, default, mrcal-2.2" }),
+        }
+    }
+}
+
+impl fmt::Display for RegularizationChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::None => "none",
+            Self::Default => "default",
+            Self::Mrcal22 => "mrcal-2.2",
+        })
+    }
+}
+
+/// What large residuals cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum LossChoice {
+    /// Their square.
+    #[default]
+    None,
+    /// Cauchy's loss, which bends at this many pixels.
+    Cauchy {
+        /// The length of a residual in pixels.
+        px: f64,
+    },
+}
+
+impl FromStr for LossChoice {
+    type Err = BadChoice;
+
+    fn from_str(text: &str) -> Result<Self, BadChoice> {
+        let bad = || BadChoice {
+            value: text.to_owned(),
+            takes: "none, cauchy:PX with a positive number of pixels such as cauchy:1.5",
+        };
+        if text == "none" {
+            return Ok(Self::None);
+        }
+        let px = text.strip_prefix("cauchy:").and_then(positive).ok_or_else(bad)?;
+        Ok(Self::Cauchy { px })
+    }
+}
+
+impl fmt::Display for LossChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::None => f.pad("none"),
+            Self::Cauchy { px } => f.pad(&format!("cauchy:{px}")),
+        }
+    }
+}
+
+/// Which observations are not used.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RejectChoice {
+    /// All are used.
+    None,
+    /// Those are not that lie farther from the solution than this many robust sigmas of their camera.
+    Beyond {
+        /// The limit on the length of the residual.
+        sigmas: f64,
+    },
+}
+
+impl Default for RejectChoice {
+    fn default() -> Self {
+        Self::Beyond { sigmas: 4.0 }
+    }
+}
+
+impl FromStr for RejectChoice {
+    type Err = BadChoice;
+
+    fn from_str(text: &str) -> Result<Self, BadChoice> {
+        if text == "none" {
+            return Ok(Self::None);
+        }
+        let takes = "none, a number of sigmas of at least 2 such as 4";
+        let sigmas = positive(text).filter(|sigmas| *sigmas >= 2.0);
+        let sigmas = sigmas.ok_or_else(|| BadChoice { value: text.to_owned(), takes })?;
+        Ok(Self::Beyond { sigmas })
+    }
+}
+
+impl fmt::Display for RejectChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::None => f.pad("none"),
+            Self::Beyond { sigmas } => f.pad(&sigmas.to_string()),
+        }
+    }
+}
+
+fn positive(text: &str) -> Option<f64> {
+    text.parse::<f64>().ok().filter(|value| *value > 0.0 && value.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn survives<T: FromStr<Err = BadChoice> + fmt::Display>(texts: &[&str]) {
+        for text in texts {
+            let Ok(value) = text.parse::<T>() else { panic!("{text}") };
+            assert_eq!(value.to_string(), *text);
+        }
+    }
+
+    fn refuses<T: FromStr<Err = BadChoice>>(texts: &[&str]) {
+        for text in texts {
+            let Err(error) = text.parse::<T>() else { panic!("{text}") };
+            assert!(error.to_string().starts_with(&format!("`{text}` is not one of: none")), "{error}");
+        }
+    }
+
+    #[test]
+    fn choices_are_read_and_written() {
+        survives::<ShapeChoice>(&["none", "2"]);
+        survives::<RegularizationChoice>(&["none", "default", "mrcal-2.2"]);
+        survives::<LossChoice>(&["none", "cauchy:1.5", "cauchy:2"]);
+        survives::<RejectChoice>(&["none", "4", "3.5"]);
+        assert_eq!(RejectChoice::default().to_string(), "4");
+    }
+
+    #[test]
+    fn mistakes_are_answered_with_what_is_taken() {
+        refuses::<ShapeChoice>(&["", "3", "two"]);
+        refuses::<RegularizationChoice>(&["mrcal", "mrcal-2.3"]);
+        refuses::<LossChoice>(&["cauchy", "cauchy:", "cauchy:0", "cauchy:-1", "cauchy:nan", "huber:1"]);
+        refuses::<RejectChoice>(&["0", "-4", "nan", "inf", "1.5", "four"]);
+    }
+}

@@ -1,0 +1,74 @@
+//! The long text of each code that a finding may bear.
+
+/// The codes of findings about the input, which are noticed while reading.
+const OF_INPUT: &[(&str, &str)] = &[
+    (
+        "camera-without-views",
+        "What it means: the job lists a camera of which no corner file has a single view.\n\n\
+         Why it matters: the camera cannot be calibrated; it is absent from the result.\n\n\
+         How to fix it: add its corner file to [input] corners of the job, check that the camera's name, or its\n\
+         `images` pattern, matches the names in the file, or take the camera out of the job.",
+    ),
+    (
+        "corners-at-minus-one",
+        "What it means: some corners are at the pixel (-1, -1), by which some detectors say that a corner was\n\
+         not found. They are taken as missing.\n\n\
+         Why it matters: it does not, unless a corner was truly seen there, outside the image.\n\n\
+         How to fix it: leave corners that were not found out of the file.",
+    ),
+    (
+        "images-without-camera",
+        "What it means: a corner file names images that match the pattern (`images`) of no camera in the job.\n\
+         Their corners are left out.\n\n\
+         Why it matters: if they belong to a camera of the rig, their information is lost.\n\n\
+         How to fix it: widen the pattern of the camera they belong to, or ignore this if they are of another\n\
+         camera.",
+    ),
+    (
+        "no-newline-at-end",
+        "What it means: the last line of a file does not end in a newline.\n\n\
+         Why it matters: a file whose writing or copying was cut off often looks like this, and the last number\n\
+         may then be wrong.\n\n\
+         How to fix it: compare the file with its source and copy it again; a newline at its end silences this.",
+    ),
+    (
+        "pixels-outside-image",
+        "What it means: some corners lie outside the image by more than a tenth of its size.\n\n\
+         Why it matters: corners are detected inside the image, so image_size, or the camera that the corners\n\
+         are given to, may be wrong.\n\n\
+         How to fix it: check image_size of the camera, and that the corners were not detected in images that\n\
+         were scaled or cropped otherwise.",
+    ),
+];
+
+/// Returns the long text of a code: what it means, why it matters, how to fix it. `None` for an unknown code.
+pub fn explain(code: &str) -> Option<&'static str> {
+    let of_input = || OF_INPUT.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
+    boresight_validate::explain(code).or_else(of_input)
+}
+
+/// Returns all codes in alphabetical order.
+pub fn codes() -> Vec<&'static str> {
+    let mut codes = boresight_validate::codes();
+    codes.extend(OF_INPUT.iter().map(|(code, _)| *code));
+    codes.sort_unstable();
+    codes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_code_has_its_text_once() {
+        let codes = codes();
+        assert!(codes.windows(2).all(|pair| pair[0] < pair[1]), "{codes:?}");
+        for code in codes {
+            let text = explain(code).unwrap();
+            for heading in ["What it means: ", "Why it matters: ", "How to fix it: "] {
+                assert_eq!(text.matches(heading).count(), 1, "{code}: {heading}");
+            }
+        }
+        assert_eq!(explain("none-such"), None);
+    }
+}

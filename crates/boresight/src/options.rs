@@ -1,0 +1,204 @@
+//! How a calibration is made: the command line's flags and the job file's `[options]` are these.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::str::FromStr;
+
+use boresight_adjust::{AdjustOptions, Loss, Regularization, Rejection};
+use boresight_camera::Model;
+use boresight_data::Dataset;
+use boresight_io::{Job, Place};
+use serde::de::{Deserializer, Error as _, Visitor};
+use serde::{Deserialize, Serialize, Serializer};
+
+use crate::choices::{LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
+use crate::error::Error;
+
+/// How a calibration is made. Flags come before the job file, and that before these defaults.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CalibrateOptions {
+    /// The lens model of all cameras; `opencv5` unless told otherwise.
+    #[serde(with = "as_text")]
+    pub model: Model,
+    /// How the target may depart from its drawing: `none` or `2`; `2` unless told otherwise.
+    #[serde(with = "as_text")]
+    pub shape: ShapeChoice,
+    /// What keeps weakly constrained lens parameters in bounds: `none`, `default` or `mrcal-2.2`.
+    #[serde(with = "as_text")]
+    pub regularization: RegularizationChoice,
+    /// What large residuals cost: `none` or `cauchy:PX`; `none` unless told otherwise.
+    #[serde(with = "as_text")]
+    pub loss: LossChoice,
+    /// Beyond how many sigmas a corner is rejected, or `none`; 4 unless told otherwise.
+    #[serde(with = "as_text")]
+    pub reject: RejectChoice,
+    /// The names of the cameras to calibrate; empty takes all.
+    pub cameras: Vec<String>,
+    /// The number of threads; 0 takes one for each core. The result does not depend on it.
+    pub jobs: usize,
+}
+
+impl Default for CalibrateOptions {
+    fn default() -> Self {
+        Self {
+            model: Model::OpenCv5(Default::default()),
+            shape: ShapeChoice::default(),
+            regularization: RegularizationChoice::default(),
+            loss: LossChoice::default(),
+            reject: RejectChoice::default(),
+            cameras: Vec::new(),
+            jobs: 0,
+        }
+    }
+}
+
+impl CalibrateOptions {
+    /// Returns the options that a job file states, and the defaults of all others.
+    pub fn of_job(job: &Job) -> Result<Self, Error> {
+        job.options.clone().try_into().map_err(|error| Error::Options {
+            place: job.options_place.clone().unwrap_or_else(|| Place::file("boresight.toml")),
+            message: error.message().lines().next().unwrap_or_default().to_owned(),
+        })
+    }
+
+    /// Returns the options that bear on the result, as the command line or the job file would state them.
+    pub fn stated(&self) -> BTreeMap<String, String> {
+        let mut stated = BTreeMap::from([
+            ("model".to_owned(), self.model.to_string()),
+            ("shape".to_owned(), self.shape.to_string()),
+            ("regularization".to_owned(), self.regularization.to_string()),
+            ("loss".to_owned(), self.loss.to_string()),
+            ("reject".to_owned(), self.reject.to_string()),
+        ]);
+        if !self.cameras.is_empty() {
+            stated.insert("cameras".to_owned(), self.cameras.join(","));
+        }
+        stated
+    }
+
+    /// Returns what these options ask of an adjustment of `dataset`.
+    pub(crate) fn adjust_options(&self, dataset: &Dataset) -> AdjustOptions {
+        AdjustOptions {
+            loss: match self.loss {
+                LossChoice::None => Loss::None,
+                LossChoice::Cauchy { px } => Loss::Cauchy { sigmas: px / base_sigma_px(dataset) },
+            },
+            rejection: match self.reject {
+                RejectChoice::None => Rejection::None,
+                RejectChoice::Beyond { sigmas } => Rejection::Beyond { sigmas },
+            },
+            regularization: match self.regularization {
+                RegularizationChoice::None => Regularization::None,
+                RegularizationChoice::Default => Regularization::Default,
+                RegularizationChoice::Mrcal22 => Regularization::Mrcal22,
+            },
+            threads: self.jobs,
+            ..AdjustOptions::default()
+        }
+    }
+}
+
+/// Returns the sigma of the best corners: that of all of them, where they have but one.
+fn base_sigma_px(dataset: &Dataset) -> f64 {
+    let observations = dataset.views.iter().flat_map(|view| &view.observations);
+    let least = observations.map(|observation| observation.sigma_px).fold(f64::INFINITY, f64::min);
+    if least.is_finite() && least > 0.0 { least } else { 1.0 }
+}
+
+/// Values that a file states as text; a bare number will do where the text would be one.
+mod as_text {
+    use super::*;
+
+    pub(super) fn serialize<T: fmt::Display, S: Serializer>(
+        value: &T,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(value)
+    }
+
+    pub(super) fn deserialize<'de, T, D>(deserializer: D) -> Result<T, D::Error>
+    where
+        T: FromStr<Err: fmt::Display>,
+        D: Deserializer<'de>,
+    {
+        struct TextOrNumber;
+        impl Visitor<'_> for TextOrNumber {
+            type Value = String;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a text or a number")
+            }
+
+            fn visit_str<E>(self, text: &str) -> Result<String, E> {
+                Ok(text.to_owned())
+            }
+
+            fn visit_i64<E>(self, number: i64) -> Result<String, E> {
+                Ok(number.to_string())
+            }
+
+            fn visit_u64<E>(self, number: u64) -> Result<String, E> {
+                Ok(number.to_string())
+            }
+
+            fn visit_f64<E>(self, number: f64) -> Result<String, E> {
+                Ok(number.to_string())
+            }
+        }
+        deserializer.deserialize_any(TextOrNumber)?.parse().map_err(|error: T::Err| D::Error::custom(error))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn job(options: &str) -> Job {
+        Job {
+            dataset: Dataset::default(),
+            options: options.parse().unwrap(),
+            options_place: Some(Place::line("boresight.toml", 7)),
+            inputs: Vec::new(),
+            findings: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_job_file_states_what_it_wants_and_defaults_fill_in() {
+        let options = CalibrateOptions::of_job(&job(
+            "model = \"opencv8\"\nshape = \"none\"\nreject = 3.5\nloss = \"cauchy:2\"\ncameras = [\"left\"]\njobs = 1",
+        ));
+        let options = options.unwrap();
+        assert_eq!(options.model.name(), "opencv8");
+        assert_eq!(options.shape, ShapeChoice::None);
+        assert_eq!(options.reject, RejectChoice::Beyond { sigmas: 3.5 });
+        assert_eq!(options.loss, LossChoice::Cauchy { px: 2.0 });
+        assert_eq!(options.regularization, RegularizationChoice::Default);
+        assert_eq!(options.stated()["cameras"], "left");
+        assert!(!options.stated().contains_key("jobs"), "threads have no say in the result");
+        assert_eq!(CalibrateOptions::of_job(&job("")).unwrap(), CalibrateOptions::default());
+        assert_eq!(CalibrateOptions::of_job(&job("shape = 2")).unwrap().shape, ShapeChoice::Two);
+    }
+
+    #[test]
+    fn mistakes_are_named_with_their_place() {
+        for (options, parts) in [
+            ("modle = \"opencv5\"", ["unknown field `modle`", "`model`"]),
+            ("model = \"opencv6\"", ["no lens model `opencv6`", "opencv14"]),
+            ("reject = -1", ["`-1` is not one of", "4"]),
+            ("jobs = -1", ["invalid value", "-1"]),
+        ] {
+            let error = CalibrateOptions::of_job(&job(options)).unwrap_err().to_string();
+            assert!(error.starts_with("boresight.toml:7: "), "{error}");
+            assert!(parts.iter().all(|part| error.contains(part)), "{error}");
+        }
+    }
+
+    #[test]
+    fn options_survive_a_round_trip() {
+        let options = CalibrateOptions { cameras: vec!["a".to_owned()], ..CalibrateOptions::default() };
+        let text = toml::to_string(&options).unwrap();
+        assert_eq!(toml::from_str::<CalibrateOptions>(&text).unwrap(), options);
+    }
+}
