@@ -1,0 +1,168 @@
+//! What the command line takes.
+
+use std::path::PathBuf;
+
+use boresight::{LossChoice, Model, RegularizationChoice, RejectChoice, ShapeChoice, Target};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+use crate::inputs::ImageSize;
+
+/// Calibrates cameras: lenses, where they sit, and how well all of that is known.
+#[derive(Debug, Parser)]
+#[command(name = "boresight", version, max_term_width = 100, disable_help_subcommand = true)]
+#[command(after_help = "Exit codes: 0 good; 1 written, but the verdict or a comparison failed; 2 usage or \
+    configuration; 3 input unusable; 4 solve failed, diagnostics written; 5 cannot write; 130 stopped by Ctrl-C.\n\
+    stdout is the answer only; progress, findings and errors go to stderr.")]
+pub(crate) struct Arguments {
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Calibrate a camera, a stereo pair or a rig from the corners of a target
+    Calibrate(CalibrateArguments),
+    /// Tell what is in a dataset or a calibration
+    Info(InfoArguments),
+    /// Print the matrices P, M and H = P*M of each camera
+    Matrix(MatrixArguments),
+    /// Tell how far two calibrations differ, in pixels over the image and between cameras
+    Compare(CompareArguments),
+    /// Write a calibration in the format of another program
+    Export(ExportArguments),
+    /// Project points (x y z in metres, one per line of stdin) to pixels (u v)
+    Project(ProjectArguments),
+    /// Turn pixels (u v, one per line of stdin) into unit directions (x y z)
+    Unproject(ProjectArguments),
+    /// Explain a finding's code, or list all codes
+    Explain {
+        /// The code, such as few-views; none lists all
+        code: Option<String>,
+    },
+    /// Print a completion script for a shell
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+}
+
+/// The corners, and what a job file would say about them.
+#[derive(Args, Debug)]
+pub(crate) struct InputArguments {
+    /// A folder with a boresight.toml, a job file, or corner files (.csv, .vnl)
+    #[arg(value_name = "INPUT", required_unless_present = "config")]
+    pub inputs: Vec<PathBuf>,
+    /// The job file, for corner files that lie elsewhere
+    #[arg(short, long, value_name = "JOB.toml")]
+    pub config: Option<PathBuf>,
+    /// The target, such as chessboard:9x6:25mm (inner corners, spacing)
+    #[arg(long, value_name = "SPEC", value_parser = crate::inputs::parse_target)]
+    pub target: Option<Target>,
+    /// Width and height of the images in pixels, of all cameras or of one; may be repeated
+    #[arg(long, value_name = "WxH or NAME=WxH")]
+    pub image_size: Vec<ImageSize>,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct CalibrateArguments {
+    #[command(flatten)]
+    pub input: InputArguments,
+    /// The lens model: pinhole, opencv4, opencv5, opencv8, opencv12, opencv14 or kannala-brandt4 [default: opencv5]
+    #[arg(long, value_name = "NAME")]
+    pub model: Option<Model>,
+    /// How the target may depart from flat: none, or 2 coefficients [default: 2]
+    #[arg(long, value_name = "none|2")]
+    pub shape: Option<ShapeChoice>,
+    /// What keeps weakly constrained lens parameters in bounds: none, default or mrcal-2.2
+    #[arg(long, value_name = "KIND")]
+    pub regularization: Option<RegularizationChoice>,
+    /// What large residuals cost: none (their square), or cauchy:PX [default: none]
+    #[arg(long, value_name = "LOSS")]
+    pub loss: Option<LossChoice>,
+    /// Reject corners beyond this many sigmas, or none [default: 4]
+    #[arg(long, value_name = "SIGMAS|none")]
+    pub reject: Option<RejectChoice>,
+    /// Calibrate these cameras only
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
+    pub cameras: Vec<String>,
+    /// The number of threads; 0 takes one per core. It does not change the result [default: 0]
+    #[arg(long, value_name = "N")]
+    pub jobs: Option<usize>,
+    /// The folder for the results; made if it does not exist
+    #[arg(short, long, value_name = "DIR", default_value = "out")]
+    pub output: PathBuf,
+    /// Print calibration.json on stdout instead of the summary
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct InfoArguments {
+    #[command(flatten)]
+    pub input: InputArguments,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct MatrixArguments {
+    /// A calibration.json, or the folder it is in
+    pub result: PathBuf,
+    /// How to print the matrices; npy holds H of all cameras, [camera, 3, 4]
+    #[arg(long, value_enum, default_value_t = MatrixFormat::Text)]
+    pub format: MatrixFormat,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum MatrixFormat {
+    Text,
+    Json,
+    Npy,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct CompareArguments {
+    /// A calibration.json or its folder, a .cameramodel, an OpenCV .yml, or a folder of .cameramodel files
+    pub a: PathBuf,
+    /// Another; cameras are paired by name, or by order where no name is common
+    pub b: PathBuf,
+    /// Compare points at this distance in metres, after a pose fitted there; else at infinity
+    #[arg(long, value_name = "D")]
+    pub distance_m: Option<f64>,
+    /// Exit with 1 if the RMS difference of any camera is above this many pixels
+    #[arg(long, value_name = "PX")]
+    pub limit_px: Option<f64>,
+    /// Print one JSON document, the difference at each grid point included
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct ExportArguments {
+    /// A calibration.json, or the folder it is in
+    pub result: PathBuf,
+    /// The format: json, opencv, cameramodel, h-matrix, h-matrix-json or h-matrix-npy
+    #[arg(long, value_name = "FORMAT")]
+    pub to: String,
+    /// The folder for the files; made if it does not exist
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct ProjectArguments {
+    /// A calibration.json or its folder, a .cameramodel or an OpenCV .yml
+    pub result: PathBuf,
+    /// The camera; may be left out where there is only one
+    #[arg(long, value_name = "NAME")]
+    pub camera: Option<String>,
+    /// The frame of the points or directions
+    #[arg(long, value_enum, default_value_t = PointFrame::Camera)]
+    pub frame: PointFrame,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PointFrame {
+    /// The camera's own: x right, y down, z forward
+    Camera,
+    /// The rig's: that of its reference camera
+    Rig,
+}

@@ -1,0 +1,118 @@
+//! `boresight info`.
+
+use std::path::Path;
+use std::process::ExitCode;
+
+use boresight::{
+    CalibrateOptions, Dataset, Id as _, Job, NamedCamera, read_calibration, read_cameras, verdict,
+};
+
+use crate::arguments::InfoArguments;
+use crate::calibrate::tell_findings;
+use crate::failure::Failure;
+use crate::figures::significant;
+use crate::streams::answer;
+use crate::table::{aligned, row};
+use crate::{inputs, summary};
+
+/// Prints what is in a dataset or a calibration.
+pub(crate) fn run(arguments: &InfoArguments) -> Result<ExitCode, Failure> {
+    let text = match &arguments.input.inputs[..] {
+        [path] if is_calibration(path) => of_calibration(path)?,
+        [path] if is_cameras(path) => of_cameras(&read_cameras(path)?),
+        _ => {
+            let job = inputs::load(&arguments.input)?;
+            tell_findings(&job.findings);
+            of_job(&job)?
+        }
+    };
+    answer(text.as_bytes())?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn is_calibration(path: &Path) -> bool {
+    if path.is_dir() {
+        path.join("calibration.json").is_file() && !path.join("boresight.toml").is_file()
+    } else {
+        has_extension(path, &["json"])
+    }
+}
+
+fn is_cameras(path: &Path) -> bool {
+    has_extension(path, &["cameramodel", "yml", "yaml"])
+}
+
+fn has_extension(path: &Path, extensions: &[&str]) -> bool {
+    path.extension()
+        .is_some_and(|found| extensions.iter().any(|extension| found.eq_ignore_ascii_case(extension)))
+}
+
+fn of_calibration(path: &Path) -> Result<String, Failure> {
+    let (calibration, findings) = read_calibration(path)?;
+    tell_findings(&findings);
+    let made = &calibration.provenance;
+    let mut rows = vec![vec![format!("calibration by Boresight {}", made.version)]];
+    rows.extend(
+        made.inputs
+            .iter()
+            .map(|(name, hash)| vec![format!("from {name}, blake3 {}", &hash[..hash.len().min(16)])]),
+    );
+    let options: Vec<String> = made.options.iter().map(|(name, value)| format!("{name} {value}")).collect();
+    rows.push(vec![format!("options: {}", options.join(", "))]);
+    let verdict = summary::verdict_line(verdict(&findings), &findings);
+    Ok(format!("{}\n{}\n{verdict}\n", aligned(&rows), summary::of_calibration(&calibration)))
+}
+
+fn of_cameras(cameras: &[NamedCamera]) -> String {
+    let mut text = String::new();
+    for NamedCamera { name, camera, cam_from_rig, .. } in cameras {
+        let [width, height] = camera.image_size;
+        let size = if width > 0 { format!("{width}x{height}") } else { "size unknown".to_owned() };
+        let mut rows = vec![row([&format!("camera {name}"), &format!("{}, {size}", camera.model)])];
+        let params = camera.model.param_names().into_iter().zip(&camera.params);
+        rows.extend(params.map(|(param, value)| row([param, &significant(*value)])));
+        if let Some(cam_from_rig) = cam_from_rig {
+            let [x, y, z]: [f64; 3] = cam_from_rig.inverse().translation.into();
+            let at = [x, y, z].map(|metres| significant(1e3 * metres)).join(", ");
+            rows.push(row(["position mm", &at]));
+        }
+        text.push_str(&aligned(&rows));
+        text.push('\n');
+    }
+    text
+}
+
+fn of_job(job: &Job) -> Result<String, Failure> {
+    let Dataset { cameras, views, .. } = &job.dataset;
+    let mut rows = vec![row(["camera", "image", "views", "corners", "u px", "v px"])];
+    for (id, camera) in cameras.enumerate() {
+        let of_camera = || views.iter().filter(|view| view.camera.index() == id.index());
+        let observations = || of_camera().flat_map(|view| &view.observations);
+        let range = |axis: usize| {
+            let pixels = observations().map(|observation| observation.pixel[axis]);
+            let (least, most) =
+                pixels.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), pixel| (a.min(pixel), b.max(pixel)));
+            if least <= most { format!("{least:.0} to {most:.0}") } else { "-".to_owned() }
+        };
+        let [width, height] = camera.image_size;
+        rows.push(row([
+            &camera.name,
+            &format!("{width}x{height}"),
+            &of_camera().count().to_string(),
+            &observations().count().to_string(),
+            &range(0),
+            &range(1),
+        ]));
+    }
+    let options = CalibrateOptions::of_job(job)?;
+    let stated: Vec<String> =
+        options.stated().iter().map(|(name, value)| format!("{name} {value}")).collect();
+    let inputs: Vec<&str> = job.inputs.iter().map(|(name, _)| name.as_str()).collect();
+    Ok(format!(
+        "{}files {}\n\n{}\noptions: {}\n",
+        summary::of_dataset(&job.dataset),
+        inputs.join(", "),
+        aligned(&rows),
+        stated.join(", ")
+    ))
+}

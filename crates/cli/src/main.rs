@@ -1,0 +1,57 @@
+//! The `boresight` command: arguments in, an answer on stdout, everything else on stderr.
+//!
+//! Exit codes: 0 good; 1 written, but the verdict or a comparison failed; 2 usage or configuration;
+//! 3 input unusable; 4 solve failed (diagnostics are written); 5 cannot write; 70 a bug; 130 stopped by Ctrl-C.
+//!
+//! Architecture invariant: nothing here computes; every number comes from the library.
+
+mod arguments;
+mod calibrate;
+mod compare;
+mod explain;
+mod export;
+mod failure;
+mod figures;
+mod info;
+mod inputs;
+mod matrix;
+mod progress;
+mod project;
+mod streams;
+mod summary;
+mod table;
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory as _, Parser as _};
+
+use crate::arguments::{Arguments, Command};
+use crate::failure::Failure;
+
+fn main() -> ExitCode {
+    std::panic::set_hook(Box::new(failure::report_bug));
+    let arguments = Arguments::parse();
+    match run(arguments.command) {
+        Ok(code) => code,
+        Err(failure) => failure.report(),
+    }
+}
+
+fn run(command: Command) -> Result<ExitCode, Failure> {
+    match command {
+        Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Info(arguments) => info::run(&arguments),
+        Command::Matrix(arguments) => matrix::run(&arguments),
+        Command::Compare(arguments) => compare::run(&arguments),
+        Command::Export(arguments) => export::run(&arguments),
+        Command::Project(arguments) => project::project(&arguments),
+        Command::Unproject(arguments) => project::unproject(&arguments),
+        Command::Explain { code } => explain::run(code.as_deref()),
+        Command::Completions { shell } => {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Arguments::command(), "boresight", &mut script);
+            streams::answer(&script)?;
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}
