@@ -17,7 +17,7 @@ fn main() {
     let threads = rest.first().map_or(1, |text| text.parse().unwrap());
     let repeats: usize = rest.get(1).map_or(3, |text| text.parse().unwrap());
     let mut problem = MrcalProblem::read(Path::new(path), "opencv8".parse().unwrap(), false).unwrap();
-    
+
     problem.arrays = Default::default();
     let n_corners = problem.dataset.observation_count();
     let before_kb = resident_kb("VmRSS:");

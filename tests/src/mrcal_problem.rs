@@ -5,8 +5,8 @@ use std::path::Path;
 
 use boresight_camera::{Camera, Model};
 use boresight_data::{
-    CameraId, CameraInfo, Dataset, Frame, FrameId, Geometry, Observation, PointId, Rig, RigCamera, Scene, Shape,
-    Target, TargetBelief, TargetId, View,
+    CameraId, CameraInfo, Dataset, Frame, FrameId, Geometry, Observation, PointId, Rig, RigCamera, Scene,
+    Shape, Target, TargetBelief, TargetId, View,
 };
 use boresight_geometry::{Pose, Vector3};
 
@@ -40,7 +40,10 @@ impl MrcalProblem {
             }
         }
         let n_points = (columns * rows) as usize;
-        let views = arrays.numbers("indices_frame_camintrinsics_camextrinsics").chunks_exact(3).zip(pixels.chunks_exact(3 * n_points));
+        let views = arrays
+            .numbers("indices_frame_camintrinsics_camextrinsics")
+            .chunks_exact(3)
+            .zip(pixels.chunks_exact(3 * n_points));
         let views = views.map(|(index, pixels)| View {
             camera: CameraId(index[1] as u32),
             frame: FrameId(index[0] as u32),
@@ -66,7 +69,9 @@ impl MrcalProblem {
                 .map(|camera| CameraInfo { name: format!("camera{camera}"), image_size: size(camera) })
                 .collect(),
             targets: vec![target].into(),
-            frames: (0..n_frames).map(|frame| Frame { name: format!("{frame}"), ..Frame::default() }).collect(),
+            frames: (0..n_frames)
+                .map(|frame| Frame { name: format!("{frame}"), ..Frame::default() })
+                .collect(),
             views: views.collect(),
         };
         let seed = scene(&arrays, "_seed", model, &dataset);
@@ -82,7 +87,7 @@ impl MrcalProblem {
 fn scene(arrays: &Npz, suffix: &str, model: Model, dataset: &Dataset) -> Scene {
     let intrinsics = arrays.numbers(&format!("intrinsics{suffix}"));
     let n_params = intrinsics.len() / dataset.cameras.len();
-    let extrinsics = arrays.numbers(&format!("extrinsics_rt_fromref{suffix}"));
+    let cam_from_ref = arrays.numbers(&format!("extrinsics_rt_fromref{suffix}"));
     let cameras = dataset.cameras.iter().enumerate().map(|(idx, info)| {
         Some(RigCamera {
             camera: Camera {
@@ -92,7 +97,7 @@ fn scene(arrays: &Npz, suffix: &str, model: Model, dataset: &Dataset) -> Scene {
             },
             cam_from_rig: match idx {
                 0 => Pose::identity(),
-                _ => pose(&extrinsics[6 * (idx - 1)..6 * idx]),
+                _ => pose(&cam_from_ref[6 * (idx - 1)..6 * idx]),
             },
         })
     });

@@ -44,7 +44,11 @@ impl Npz {
     /// # Panics
     /// If the file has no such array.
     pub fn numbers(&self, name: &str) -> &[f64] {
-        &self.arrays.get(name).unwrap_or_else(|| panic!("no array {name}; there are {:?}", self.arrays.keys())).1
+        &self
+            .arrays
+            .get(name)
+            .unwrap_or_else(|| panic!("no array {name}; there are {:?}", self.arrays.keys()))
+            .1
     }
 
     /// Returns the shape of an array.

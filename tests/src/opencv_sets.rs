@@ -5,7 +5,8 @@ use std::path::Path;
 use std::{fs, io};
 
 use boresight_data::{
-    CameraId, CameraInfo, Dataset, Frame, FrameId, Geometry, Observation, PointId, Shape, Target, TargetId, View,
+    CameraId, CameraInfo, Dataset, Frame, FrameId, Geometry, Observation, PointId, Shape, Target, TargetId,
+    View,
 };
 
 use crate::npz::Npz;
@@ -74,12 +75,21 @@ pub fn read_fisheye(path: &Path, first: usize, count: usize) -> io::Result<Datas
     });
     let size = [0, 1].map(|axis| arrays.numbers("image_size")[axis] as u32);
     let spacing = arrays.numbers("obj")[3];
-    Ok(dataset(&["fisheye"], size, [10, 10], spacing, count, views.filter(|v| !v.observations.is_empty()).collect()))
+    Ok(dataset(
+        &["fisheye"],
+        size,
+        [10, 10],
+        spacing,
+        count,
+        views.filter(|v| !v.observations.is_empty()).collect(),
+    ))
 }
 
 fn observations(pixels: &[f64]) -> Vec<Observation> {
     let points = pixels.chunks_exact(2).enumerate().filter(|(_, p)| p[0].is_finite() && p[1].is_finite());
-    points.map(|(i, p)| Observation { point: PointId(i as u32), pixel: [p[0], p[1]], sigma_px: 1.0 }).collect()
+    points
+        .map(|(i, p)| Observation { point: PointId(i as u32), pixel: [p[0], p[1]], sigma_px: 1.0 })
+        .collect()
 }
 
 fn dataset(

@@ -1,6 +1,7 @@
 //! Golden tests: the answers of mrcal 2.2 and OpenCV 5.0.0 on the same observations.
 //!
 //! They need the conformance data beside the project, and say so where it is not present.
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may panic, and says what it measured")]
 
 mod golden {
     mod monte_carlo;

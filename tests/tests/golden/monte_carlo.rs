@@ -74,7 +74,11 @@ fn stereo_covariance_matches_the_scatter() {
         println!("{}: stated {:.4e}, scatter {:.4e}", names[i], stated[i].sqrt(), scatter.sqrt());
     }
     let mean = ratios.iter().sum::<f64>() / n as f64;
-    println!("sigma over scatter: mean {mean:.3}, {:.3} to {:.3}", ratios.iter().fold(9.0, |a: f64, b| a.min(*b)), ratios.iter().fold(0.0, |a: f64, b| a.max(*b)));
+    println!(
+        "sigma over scatter: mean {mean:.3}, {:.3} to {:.3}",
+        ratios.iter().fold(9.0, |a: f64, b| a.min(*b)),
+        ratios.iter().fold(0.0, |a: f64, b| a.max(*b))
+    );
     assert!((mean - 1.0).abs() < 0.05, "{mean}");
     // Single parameters have 5 % sampling error each; three sigmas of that.
     assert!(ratios.iter().all(|ratio| (0.85..1.17).contains(ratio)), "{ratios:?}");

@@ -45,7 +45,13 @@ fn packed_difference(a: &Scene, b: &Scene) -> f64 {
     let mut note = |difference: f64| largest = largest.max(difference.abs());
     for (a, b) in a.rig.cameras.iter().flatten().zip(b.rig.cameras.iter().flatten()) {
         for (i, (a, b)) in a.camera.params.iter().zip(&b.camera.params).enumerate() {
-            let scale = if i < 2 { FOCAL } else if i < 4 { CENTRE } else { 1.0 };
+            let scale = if i < 2 {
+                FOCAL
+            } else if i < 4 {
+                CENTRE
+            } else {
+                1.0
+            };
             note((a - b) / scale);
         }
         note((a.cam_from_rig * b.cam_from_rig.inverse()).angle() / CAMERA_ROTATION);
@@ -64,7 +70,10 @@ fn packed_difference(a: &Scene, b: &Scene) -> f64 {
 fn check(found: &Optimum, optimum: &Scene, cost: f64, name: &str) {
     let relative = (found.solution.cost / cost - 1.0).abs();
     let packed = packed_difference(&found.scene, optimum);
-    println!("{name}: cost {:.12}, relative {relative:.1e}, packed {packed:.1e}, {:?}", found.solution.cost, found.solution.counters);
+    println!(
+        "{name}: cost {:.12}, relative {relative:.1e}, packed {packed:.1e}, {:?}",
+        found.solution.cost, found.solution.counters
+    );
     assert!(found.solution.stop.is_converged(), "{name}: {}", found.solution.stop);
     assert!(relative <= 1e-9, "{name}: cost {} against {cost}", found.solution.cost);
     assert!(packed <= 1e-6, "{name}: {packed:e} packed units");
@@ -83,7 +92,8 @@ fn stored_seeds_lead_to_the_stored_optima() {
 fn own_seeds_without_focal_length_lead_to_the_same_optima() {
     for name in ["c1_f50_b10", "c2_f50_b10", "c8_f50_b10"] {
         let Some((problem, optimum, cost)) = read(name) else { return };
-        let seed = seed(&problem.dataset, &SeedOptions { models: vec![opencv8()], ..SeedOptions::default() }).unwrap();
+        let seed = seed(&problem.dataset, &SeedOptions { models: vec![opencv8()], ..SeedOptions::default() })
+            .unwrap();
         assert_eq!(seed.left_out, [], "{name}");
         let found = optimize(&problem.dataset, &seed.scene, &options()).unwrap();
         check(&found, &optimum, cost, name);

@@ -68,8 +68,20 @@ fn outliers_of_the_wide_window_are_rejected() {
     const LEFT: [(usize, u32); 11] =
         [(1, 0), (1, 9), (1, 18), (1, 27), (1, 36), (1, 45), (6, 44), (8, 26), (8, 44), (11, 17), (11, 44)];
     const RIGHT: [(usize, u32); 14] = [
-        (0, 27), (0, 45), (1, 0), (1, 9), (1, 18), (1, 27), (1, 36), (1, 45), (4, 9), (4, 27), (4, 45), (6, 26),
-        (6, 44), (11, 44),
+        (0, 27),
+        (0, 45),
+        (1, 0),
+        (1, 9),
+        (1, 18),
+        (1, 27),
+        (1, 36),
+        (1, 45),
+        (4, 9),
+        (4, 27),
+        (4, 45),
+        (6, 26),
+        (6, 44),
+        (11, 44),
     ];
     let (Some(mut dataset), Some(clean)) =
         (read("classic11", &["left", "right"]), read("classic5", &["left", "right"]))
@@ -95,7 +107,15 @@ fn outliers_of_the_wide_window_are_rejected() {
             assert!(is_known, "camera {camera} frame {frame} point {point}");
         }
     }
-    dataset.targets = dataset.targets.iter().cloned().map(|mut t| { t.shape = Shape::Parabolic2; t }).collect();
+    dataset.targets = dataset
+        .targets
+        .iter()
+        .cloned()
+        .map(|mut t| {
+            t.shape = Shape::Parabolic2;
+            t
+        })
+        .collect();
     let calibration = calibrate(&dataset, &AdjustOptions::default());
     let found = outliers.iter().filter(|(view_idx, point)| {
         calibration.rejected.iter().any(|rejection| {
@@ -104,8 +124,16 @@ fn outliers_of_the_wide_window_are_rejected() {
         })
     });
     let n_found = found.count();
-    let focal = |camera: usize| calibration.scene.rig.cameras.as_slice()[camera].as_ref().unwrap().camera.params[0];
-    println!("rejected {} of 26, {} in all; fx {:.3}, {:.3}; shape {:?}", n_found, calibration.rejected.len(), focal(0), focal(1), calibration.scene.targets.as_slice()[0].shape_m);
+    let focal =
+        |camera: usize| calibration.scene.rig.cameras.as_slice()[camera].as_ref().unwrap().camera.params[0];
+    println!(
+        "rejected {} of 26, {} in all; fx {:.3}, {:.3}; shape {:?}",
+        n_found,
+        calibration.rejected.len(),
+        focal(0),
+        focal(1),
+        calibration.scene.targets.as_slice()[0].shape_m
+    );
     assert!(n_found >= 24, "{n_found} of 26");
     // Clean answers: classic5 jointly, with the same defaults.
     let mut clean = clean;

@@ -24,11 +24,17 @@ fn mean_position_error_mm(name: &str) -> Option<f64> {
     assert!(calibration.solve.converged);
     let truth = |camera: usize| {
         let rotation = Matrix3::from_row_slice(&arrays.numbers("R")[9 * camera..9 * camera + 9]);
-        Pose::from_matrix(&rotation, Vector3::from_column_slice(&arrays.numbers("T")[3 * camera..3 * camera + 3]))
+        Pose::from_matrix(
+            &rotation,
+            Vector3::from_column_slice(&arrays.numbers("T")[3 * camera..3 * camera + 3]),
+        )
     };
     let cameras = calibration.scene.rig.cameras.as_slice();
     let errors: Vec<f64> = (1..cameras.len())
-        .map(|camera| (cameras[camera].as_ref().unwrap().cam_from_rig.translation - truth(camera).translation).norm() * 1e3)
+        .map(|camera| {
+            (cameras[camera].as_ref().unwrap().cam_from_rig.translation - truth(camera).translation).norm()
+                * 1e3
+        })
         .collect();
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
     println!("{name}: RMS {:.6} px, errors {errors:.3?} mm, mean {mean:.4} mm", calibration.rms_px);

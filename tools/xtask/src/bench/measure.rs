@@ -1,0 +1,77 @@
+//! Runs the rounds.
+
+use anyhow::{Context as _, bail};
+
+use crate::bench::answer::Answer;
+use crate::bench::problems::Problem;
+use crate::bench::solvers::Solver;
+use crate::process::{output, shown};
+
+/// Every process solves its problem as often and reports its median, whoever it is.
+pub(crate) const REPEAT: usize = 3;
+
+/// The problem on which two threads are held against one.
+const THREADS_PROBLEM: &str = "8x200";
+
+/// What was measured.
+pub(crate) struct Measured {
+    pub rounds: usize,
+    /// By problem, in their order.
+    pub problems: Vec<MeasuredProblem>,
+    pub threads: Option<Threads>,
+}
+
+pub(crate) struct MeasuredProblem {
+    pub label: &'static str,
+    /// For each solver its answers, a round each; ours first.
+    pub solvers: Vec<(&'static str, Vec<Answer>)>,
+}
+
+/// Our answers with one thread and with two, a round each.
+pub(crate) struct Threads {
+    pub label: &'static str,
+    pub one: Vec<Answer>,
+    pub two: Vec<Answer>,
+}
+
+/// Runs all solvers on all problems in each round.
+pub(crate) fn measure(solvers: &[Solver], problems: &[Problem], rounds: usize) -> anyhow::Result<Measured> {
+    let mut measured: Vec<MeasuredProblem> = problems
+        .iter()
+        .map(|problem| MeasuredProblem {
+            label: problem.label,
+            solvers: solvers.iter().map(|solver| (solver.name, Vec::new())).collect(),
+        })
+        .collect();
+    let mut threads: Option<Threads> = None;
+    for round in 0..rounds {
+        for (problem, measured) in problems.iter().zip(&mut measured) {
+            eprintln!("bench: round {} of {rounds}, {}", round + 1, problem.label);
+            for (solver, (_, answers)) in solvers.iter().zip(&mut measured.solvers) {
+                if round == 0 || solver.is_interleaved {
+                    answers.push(solve(solver, problem, 1, round == 0)?);
+                }
+            }
+            if problem.label == THREADS_PROBLEM {
+                let ours = solvers.first().context("there is no solver")?;
+                let threads = threads.get_or_insert_with(|| Threads {
+                    label: problem.label,
+                    one: Vec::new(),
+                    two: Vec::new(),
+                });
+                threads.one.push(solve(ours, problem, 1, false)?);
+                threads.two.push(solve(ours, problem, 2, false)?);
+            }
+        }
+    }
+    Ok(Measured { rounds, problems: measured, threads })
+}
+
+fn solve(solver: &Solver, problem: &Problem, threads: usize, first: bool) -> anyhow::Result<Answer> {
+    let mut command = solver.command(problem, REPEAT, threads, first);
+    let text = output(&mut command)?;
+    let Some(line) = text.lines().rfind(|line| line.starts_with('{')) else {
+        bail!("{} printed no line of JSON", shown(&command));
+    };
+    serde_json::from_str(line).with_context(|| format!("{} printed {line}", shown(&command)))
+}

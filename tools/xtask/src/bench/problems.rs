@@ -1,0 +1,67 @@
+//! The problems, as NumPy archives for most solvers and as plain binaries for Ceres.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail};
+
+use crate::process::{command, reference_environment, root, run, succeeds, target};
+
+/// Where the conformance data are, when they are beside the project.
+const CONFORMANCE: &str = "../shared/conformance/mrcal/problems";
+
+/// Label, cameras, frames: a camera alone, a pair, a rig. All have 10x10 boards and the lens opencv8.
+const PROBLEMS: &[(&str, usize, usize)] = &[("1x50", 1, 50), ("2x200", 2, 200), ("8x200", 8, 200)];
+
+/// A problem on disk.
+#[derive(Clone, Debug)]
+pub(crate) struct Problem {
+    /// Cameras x frames.
+    pub label: &'static str,
+    pub n_cameras: usize,
+    pub npz: PathBuf,
+    /// For Ceres.
+    pub bin: PathBuf,
+}
+
+/// Finds the problems in `folder` or in the conformance data, or makes such as there are none.
+pub(crate) fn prepare(folder: Option<PathBuf>) -> anyhow::Result<Vec<Problem>> {
+    let python = python_with_numpy().context("no Python with numpy: apt-get install python3-numpy")?;
+    let beside = root().join(CONFORMANCE);
+    let work = target().join("bench");
+    std::fs::create_dir_all(&work).with_context(|| work.display().to_string())?;
+    let mut problems = Vec::new();
+    for &(label, n_cameras, n_frames) in PROBLEMS {
+        let name = format!("c{n_cameras}_f{n_frames}_b10_opencv8");
+        let given = folder.as_deref().unwrap_or(&beside).join(format!("{name}.npz"));
+        let npz = if given.is_file() {
+            given
+        } else if folder.is_some() {
+            bail!("{} does not exist", given.display());
+        } else {
+            let made = work.join(format!("made_{name}.npz"));
+            eprintln!("bench: making {}, as {} is not there", made.display(), beside.display());
+            let counts = ["--cameras", &n_cameras.to_string(), "--frames", &n_frames.to_string()];
+            run(make_problem(&python).arg("make").arg(&made).args(counts))?;
+            made
+        };
+        let bin = work.join(format!("{name}.bin"));
+        run(make_problem(&python).arg("convert").arg(&npz).arg(&bin))?;
+        problems.push(Problem { label, n_cameras, npz, bin });
+    }
+    Ok(problems)
+}
+
+fn make_problem(python: &Path) -> std::process::Command {
+    let mut command = command(python);
+    command.arg("tools/bench/make_problem.py");
+    command
+}
+
+fn python_with_numpy() -> Option<PathBuf> {
+    let candidates = [
+        reference_environment().join("bin/python"),
+        PathBuf::from("/usr/bin/python3"),
+        PathBuf::from("python3"),
+    ];
+    candidates.into_iter().find(|python| succeeds(command(python).args(["-c", "import numpy"])))
+}
