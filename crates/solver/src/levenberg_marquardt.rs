@@ -19,8 +19,8 @@ use crate::structure::Structure;
 /// Damping below this changes nothing but makes the next rejections come in bursts.
 const LEAST_DAMPING: f64 = 1e-12;
 
-/// The most that a perfect step lowers the damping by.
-const LEAST_SHRINK: f64 = 0.02;
+/// What a perfect step lowers the damping to, of itself.
+const LEAST_SHRINK: f64 = 0.004;
 
 /// Damping beyond this means that no step, however short, lowers the cost.
 const MOST_DAMPING: f64 = 1e12;
