@@ -86,25 +86,25 @@ impl Layouts {
 impl TargetPoints {
     /// Returns the points of `target` that `observations` name, in their order.
     pub fn new(target: &Target, observations: &[Observation]) -> Self {
-        let mut points = Self { n_points: observations.len(), ..Self::default() };
-        for observation in observations {
-            let [x, y, z]: [f64; 3] = target.drawn_point(observation.point).into();
-            let [first, second] = target.shape_basis(observation.point);
-            for (axis, value) in points.axes.iter_mut().zip([x, y, z, first, second]) {
-                axis.push(value);
-            }
-        }
-        points.axes.iter_mut().for_each(pad);
-        points
+        let axis = |axis: usize| {
+            padded(observations.iter().map(|observation| match axis {
+                0..3 => target.drawn_point(observation.point)[axis],
+                _ => target.shape_basis(observation.point)[axis - 3],
+            }))
+        };
+        Self { n_points: observations.len(), axes: [0, 1, 2, 3, 4].map(axis) }
     }
 }
 
-/// Repeats the last number until the length fills whole registers.
-fn pad(numbers: &mut Vec<f64>) {
-    if let Some(&last) = numbers.last() {
-        numbers.resize(numbers.len().next_multiple_of(MAX_LANES), last);
+/// Returns the numbers, the last repeated until they fill whole registers.
+fn padded(numbers: impl ExactSizeIterator<Item = f64>) -> Vec<f64> {
+    let n = numbers.len().next_multiple_of(MAX_LANES);
+    let mut padded = Vec::with_capacity(n);
+    padded.extend(numbers);
+    if let Some(&last) = padded.last() {
+        padded.resize(n, last);
     }
-    numbers.shrink_to_fit();
+    padded
 }
 
 impl Reprojection {
@@ -124,9 +124,8 @@ impl Reprojection {
         let mut blocks = vec![lens];
         blocks.extend(shape.map(|(block, _)| block));
         blocks.extend(chain.blocks());
-        let mut pixels = [0, 1]
-            .map(|axis| observations.iter().map(|observation| observation.pixel[axis]).collect::<Vec<_>>());
-        pixels.iter_mut().for_each(pad);
+        let pixels =
+            [0, 1].map(|axis| padded(observations.iter().map(|observation| observation.pixel[axis])));
         let n_shape = shape.map_or(0, |(_, n)| n);
         let mut term = Self {
             arch: Arch::new(),

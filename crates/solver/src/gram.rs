@@ -146,11 +146,10 @@ fn add_sums<S: Simd>(simd: S, sums: &[[S::f64s; BLOCK]; BLOCK], tile: &mut [f64;
             halves[r] = simd.add_f64s(simd.add_f64s(a, b), simd.add_f64s(c, d));
         }
         let [a, b, c, d] = simd.deinterleave_shfl_f64s(halves);
-        let (low, high) = tile.split_at_mut(MAX_LANES);
-        let low_sum = simd.add_f64s(simd.partial_load_f64s(low), simd.add_f64s(a, c));
-        let high_sum = simd.add_f64s(simd.partial_load_f64s(high), simd.add_f64s(b, d));
-        simd.partial_store_f64s(low, low_sum);
-        simd.partial_store_f64s(high, high_sum);
+        // Whole registers: partial loads go through a table of masks.
+        let (registers, _) = S::as_mut_simd_f64s(tile);
+        registers[0] = simd.add_f64s(registers[0], simd.add_f64s(a, c));
+        registers[1] = simd.add_f64s(registers[1], simd.add_f64s(b, d));
     } else {
         for (sums, tile) in sums.iter().zip(tile.chunks_exact_mut(BLOCK)) {
             for (&sum, tile) in sums.iter().zip(tile) {

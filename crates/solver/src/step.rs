@@ -104,8 +104,10 @@ impl StepSolver {
             let n = group.columns.len();
             let mut right = sums.gradient;
             for (right, row) in right.iter_mut().zip(sums.coupling.chunks_exact(n.max(1))) {
-                for (entry, &column) in row.iter().zip(&group.columns) {
-                    *right += entry * reduced_step[column as usize];
+                for &(place, column, length) in &group.runs {
+                    let step = &reduced_step[column..column + length];
+                    *right +=
+                        row[place..place + length].iter().zip(step).map(|(entry, d)| entry * d).sum::<f64>();
                 }
             }
             let Some(triangle) = cholesky(&damped(sums, damping)) else { continue };
