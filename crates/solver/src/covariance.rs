@@ -5,7 +5,7 @@ use faer::Mat;
 use crate::Error;
 use crate::linearization::{GroupSums, Linearization, SIDE};
 use crate::options::SolveOptions;
-use crate::problem::{BlockId, Elimination, Problem};
+use crate::problem::{BlockId, Elimination, Problem, Scratch};
 use crate::solve::threads;
 use crate::step::{StepSolver, backward, cholesky, forward};
 use crate::structure::{HELD, Structure};
@@ -45,7 +45,7 @@ pub fn covariance(
     let rows: usize = problem.terms.iter().map(|term| term.row_count()).sum();
     let threads = threads(rows, options)?;
     model
-        .evaluate(problem, &structure, values, &threads)
+        .evaluate(problem, &structure, values, &threads, &mut Scratch::default())
         .map_err(|term_idx| Error::UndefinedStart { term_idx })?;
     for (group, sums) in structure.groups.iter().zip(model.groups()) {
         if let Some(block) = group.eliminated

@@ -11,7 +11,7 @@ use argmin::kv;
 use crate::Error;
 use crate::linearization::{Linearization, Threads};
 use crate::options::SolveOptions;
-use crate::problem::Problem;
+use crate::problem::{Problem, Scratch};
 use crate::step::StepSolver;
 use crate::stop::Stop;
 use crate::structure::Structure;
@@ -55,6 +55,7 @@ pub(crate) struct LevenbergMarquardt<'a> {
     model: Linearization,
     trial: Linearization,
     steps: StepSolver,
+    scratch: Scratch,
     trial_values: Vec<f64>,
     /// The damping of the next step.
     pub damping: f64,
@@ -79,6 +80,7 @@ impl<'a> LevenbergMarquardt<'a> {
             model: Linearization::new(&structure),
             trial: Linearization::new(&structure),
             steps: StepSolver::new(&structure),
+            scratch: Scratch::default(),
             trial_values: Vec::with_capacity(values.len()),
             structure,
             damping: options.first_damping,
@@ -94,7 +96,7 @@ impl<'a> LevenbergMarquardt<'a> {
     pub(crate) fn move_to(&mut self, problem: &Problem<'_>, values: &[f64]) -> Result<(), Error> {
         self.counters.evaluations += 1;
         self.model
-            .evaluate(problem, &self.structure, values, &self.threads)
+            .evaluate(problem, &self.structure, values, &self.threads, &mut self.scratch)
             .map_err(|term_idx| Error::UndefinedStart { term_idx })
     }
 
@@ -105,7 +107,7 @@ impl<'a> LevenbergMarquardt<'a> {
 
     /// Takes one step, trying shorter ones until the cost falls, or finds why there is none.
     fn step(&mut self, problem: &Problem<'_>, values: &mut Vec<f64>) -> Result<f64, Stop> {
-        let Self { structure, threads, model, trial, steps, trial_values, .. } = self;
+        let Self { structure, threads, model, trial, steps, trial_values, scratch, .. } = self;
         let n_rows = problem.observation_rows();
         let degrees_of_freedom = n_rows.saturating_sub(problem.parameters.free_count()).max(1);
         let cost = model.cost();
@@ -134,7 +136,7 @@ impl<'a> LevenbergMarquardt<'a> {
                     return Err(Stop::PredictedDecrease { predicted, below });
                 }
                 self.counters.evaluations += 1;
-                if trial.evaluate(problem, structure, trial_values, threads).is_ok() {
+                if trial.evaluate(problem, structure, trial_values, threads, scratch).is_ok() {
                     let decrease = cost - trial.cost();
                     if decrease > 0.0 {
                         let gain = decrease / predicted;

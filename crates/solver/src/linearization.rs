@@ -1,9 +1,11 @@
 //! The problem's quadratic model at one point: block diagonals, couplings and gradients.
 
+use pulp::Arch;
 use rayon::prelude::*;
 
-use crate::problem::{GramMut, Problem, Scratch, TermKind};
-use crate::structure::{CouplingRun, HELD, Structure};
+use crate::composite::{AddComposite, CompositeSums, CompositeTerm};
+use crate::problem::{GramMut, Problem, Scratch, Term, TermKind, Values};
+use crate::structure::{CouplingRun, HELD, Signature, Structure, TermPlace};
 
 /// The side of an eliminated block.
 pub(crate) const SIDE: usize = Structure::eliminated_columns();
@@ -13,6 +15,22 @@ pub(crate) const SIDE: usize = Structure::eliminated_columns();
 pub(crate) struct Threads(pub Option<rayon::ThreadPool>);
 
 impl Threads {
+    /// Does `work` on each item with some scratch: `scratch` where there is one thread.
+    pub(crate) fn for_each_with<T: Send>(
+        &self,
+        scratch: &mut Scratch,
+        items: &mut [T],
+        work: impl Fn(&mut Scratch, usize, &mut T) + Sync + Send,
+    ) {
+        match &self.0 {
+            None => items.iter_mut().enumerate().for_each(|(idx, item)| work(scratch, idx, item)),
+            Some(pool) => pool.install(|| {
+                let items = items.par_iter_mut().enumerate().with_max_len(1);
+                items.for_each_init(Scratch::default, |scratch, (idx, item)| work(scratch, idx, item));
+            }),
+        }
+    }
+
     /// Does `work` on each item; the items are independent, so the number of threads cannot show.
     pub(crate) fn for_each<T: Send>(&self, items: &mut [T], work: impl Fn(usize, &mut T) + Sync + Send) {
         match &self.0 {
@@ -50,14 +68,23 @@ pub(crate) struct ReducedSums {
 /// What one chunk of groups adds up to.
 #[derive(Debug, Default)]
 struct Chunk {
-    scratch: Scratch,
+    /// What a plain term writes.
     gram: Vec<f64>,
     groups: Vec<GroupSums>,
-    /// As in [`ReducedSums`]; empty for those that none of the chunk's terms has.
-    signatures: Vec<Vec<f64>>,
+    /// For each signature, its sums; empty for those that none of the chunk's terms has.
+    signatures: Vec<SignatureSums>,
     observation_cost: f64,
     prior_cost: f64,
     undefined_term: Option<usize>,
+}
+
+/// What one chunk adds to a signature's sums.
+#[derive(Clone, Debug)]
+enum SignatureSums {
+    /// As in [`ReducedSums`].
+    Plain(Vec<f64>),
+    /// Over composite terms.
+    Composite(CompositeSums),
 }
 
 /// The model's parts that touch an eliminated block.
@@ -76,11 +103,13 @@ impl Linearization {
     pub(crate) fn new(structure: &Structure) -> Self {
         let signatures: Vec<Vec<f64>> =
             structure.signatures.iter().map(|list| vec![0.0; (list.columns.len() + 1).pow(2)]).collect();
-        let largest = structure.terms.iter().map(|term| (term.n_columns + 1).pow(2)).max().unwrap_or(0);
+        let empty = |signature: &Signature| match &signature.composite {
+            None => SignatureSums::Plain(Vec::new()),
+            Some(_) => SignatureSums::Composite(CompositeSums::default()),
+        };
         let chunk = |groups: &std::ops::Range<usize>| {
             let groups = &structure.groups[groups.clone()];
             let mut chunk = Chunk {
-                gram: vec![0.0; largest],
                 groups: groups
                     .iter()
                     .map(|group| GroupSums {
@@ -88,12 +117,24 @@ impl Linearization {
                         ..Default::default()
                     })
                     .collect(),
-                signatures: vec![Vec::new(); signatures.len()],
+                signatures: structure.signatures.iter().map(empty).collect(),
                 ..Default::default()
             };
             // With many signatures, most chunks see few of them.
             for place in groups.iter().flat_map(|group| &structure.terms[group.terms.clone()]) {
-                chunk.signatures[place.signature].resize(signatures[place.signature].len(), 0.0);
+                let n = place.n_columns + 1;
+                match &mut chunk.signatures[place.signature] {
+                    SignatureSums::Plain(sums) => {
+                        sums.resize(signatures[place.signature].len(), 0.0);
+                        chunk.gram.resize(chunk.gram.len().max(n * n), 0.0);
+                    }
+                    SignatureSums::Composite(sums) if sums.is_empty() => {
+                        if let Some(place) = &structure.signatures[place.signature].composite {
+                            *sums = CompositeSums::new(&place.columns, place.n_columns);
+                        }
+                    }
+                    SignatureSums::Composite(_) => {}
+                }
             }
             chunk
         };
@@ -121,9 +162,11 @@ impl Linearization {
         structure: &Structure,
         values: &[f64],
         threads: &Threads,
+        scratch: &mut Scratch,
     ) -> Result<(), usize> {
-        threads.for_each(&mut self.chunks, |chunk_idx, chunk| {
-            chunk.evaluate(problem, structure, structure.chunks[chunk_idx].clone(), values);
+        let arch = Arch::new();
+        threads.for_each_with(scratch, &mut self.chunks, |scratch, chunk_idx, chunk| {
+            chunk.evaluate(arch, problem, structure, structure.chunks[chunk_idx].clone(), values, scratch);
         });
         if let Some(term_idx) = self.chunks.iter().find_map(|chunk| chunk.undefined_term) {
             return Err(term_idx);
@@ -145,8 +188,14 @@ impl Linearization {
         for (idx, sum) in reduced.signatures.iter_mut().enumerate() {
             sum.fill(0.0);
             for chunk in &self.chunks {
-                for (sum, part) in sum.iter_mut().zip(&chunk.signatures[idx]) {
-                    *sum += part;
+                match &chunk.signatures[idx] {
+                    SignatureSums::Plain(part) => add(sum, part),
+                    SignatureSums::Composite(part) if part.is_empty() => {}
+                    SignatureSums::Composite(part) => {
+                        if let Some(place) = &structure.signatures[idx].composite {
+                            part.add_to(place, sum);
+                        }
+                    }
                 }
             }
         }
@@ -165,44 +214,95 @@ impl Linearization {
 impl Chunk {
     fn evaluate(
         &mut self,
+        arch: Arch,
         problem: &Problem<'_>,
         structure: &Structure,
         groups: std::ops::Range<usize>,
         values: &[f64],
+        scratch: &mut Scratch,
     ) {
         let values = problem.parameters.at(values);
         self.observation_cost = 0.0;
         self.prior_cost = 0.0;
         self.undefined_term = None;
-        self.signatures.iter_mut().for_each(|sums| sums.fill(0.0));
-        for (group, sums) in structure.groups[groups].iter().zip(&mut self.groups) {
-            sums.own = Default::default();
-            sums.gradient = Default::default();
-            sums.coupling.fill(0.0);
+        self.signatures.iter_mut().for_each(SignatureSums::clear);
+        for (group_idx, group) in structure.groups[groups].iter().enumerate() {
+            self.groups[group_idx].clear();
             for place in &structure.terms[group.terms.clone()] {
                 let term = problem.terms[place.term_idx];
-                let n = place.n_columns + 1;
-                let mut gram = GramMut::new(&mut self.gram, n);
-                match term.linearize(values, &mut gram, &mut self.scratch) {
-                    Some(cost) if cost.is_finite() => match term.kind() {
-                        TermKind::Observation => self.observation_cost += cost,
-                        TermKind::Prior => self.prior_cost += cost,
-                    },
+                let cost = match term.composite() {
+                    Some(term) => self.add_composite(arch, term, place, group_idx, values, scratch),
+                    None => self.add_plain(term, place, group_idx, values, scratch),
+                };
+                match (cost, term.kind()) {
+                    (Some(cost), TermKind::Observation) if cost.is_finite() => self.observation_cost += cost,
+                    (Some(cost), TermKind::Prior) if cost.is_finite() => self.prior_cost += cost,
                     _ => {
                         self.undefined_term = Some(place.term_idx);
                         return;
                     }
                 }
-                let gram = Local { entries: &self.gram[..n * n], n };
-                let eliminated = place.eliminated.clone().unwrap_or(n..n);
-                if group.eliminated.is_some() {
-                    sums.add(&gram, &eliminated, &place.coupling);
-                }
-                gram.add_reduced(&eliminated, &mut self.signatures[place.signature]);
             }
             if let Some(block) = group.eliminated {
-                sums.finish(&problem.parameters.blocks[block].held);
+                self.groups[group_idx].finish(&problem.parameters.blocks[block].held);
             }
+        }
+    }
+
+    /// Adds a term to its group and its signature, and returns its cost if it is defined.
+    fn add_plain(
+        &mut self,
+        term: &dyn Term,
+        place: &TermPlace,
+        group_idx: usize,
+        values: Values<'_>,
+        scratch: &mut Scratch,
+    ) -> Option<f64> {
+        let n = place.n_columns + 1;
+        let cost = term.linearize(values, &mut GramMut::new(&mut self.gram, n), scratch)?;
+        let gram = Local { entries: &self.gram[..n * n], n };
+        let eliminated = place.eliminated.clone().unwrap_or(n..n);
+        if place.eliminated.is_some() {
+            self.groups[group_idx].add(&gram, &eliminated, &place.coupling);
+        }
+        if let SignatureSums::Plain(sums) = &mut self.signatures[place.signature] {
+            gram.add_reduced(&eliminated, sums);
+        }
+        Some(cost)
+    }
+
+    /// The same for a term with a composite pose.
+    fn add_composite(
+        &mut self,
+        arch: Arch,
+        term: &dyn CompositeTerm,
+        place: &TermPlace,
+        group_idx: usize,
+        values: Values<'_>,
+        scratch: &mut Scratch,
+    ) -> Option<f64> {
+        let weighed = term.sum_products(values, scratch)?;
+        if let SignatureSums::Composite(kind) = &mut self.signatures[place.signature] {
+            arch.dispatch(AddComposite {
+                columns: term.columns(),
+                factor: weighed.factor,
+                n_columns: place.n_columns,
+                eliminated: place.eliminated.as_ref().map(|columns| columns.start),
+                scratch,
+                kind,
+                group: &mut self.groups[group_idx],
+                coupling: &place.coupling,
+            });
+        }
+        Some(weighed.cost)
+    }
+}
+
+impl SignatureSums {
+    fn clear(&mut self) {
+        match self {
+            Self::Plain(sums) => sums.fill(0.0),
+            Self::Composite(sums) => sums.clear(),
         }
     }
 }
@@ -234,6 +334,25 @@ impl Local<'_> {
 }
 
 impl GroupSums {
+    fn clear(&mut self) {
+        self.own = Default::default();
+        self.gradient = Default::default();
+        self.coupling.fill(0.0);
+    }
+
+    /// Adds row `k` of the eliminated block, over a term's columns and the residual; the block's own
+    /// columns begin at `first`.
+    #[inline(always)]
+    pub(crate) fn add_row(&mut self, k: usize, row: &[f64], first: usize, runs: &[CouplingRun]) {
+        let n_coupled = self.coupling.len() / SIDE;
+        add(&mut self.own[k], &row[first..first + SIDE]);
+        self.gradient[k] += row[row.len() - 1];
+        let coupling = &mut self.coupling[k * n_coupled..(k + 1) * n_coupled];
+        for run in runs {
+            add(&mut coupling[run.place..run.place + run.length], &row[run.column..]);
+        }
+    }
+
     /// Adds a term's eliminated columns: against themselves, the reduced columns and the residual.
     fn add(&mut self, gram: &Local<'_>, eliminated: &std::ops::Range<usize>, runs: &[CouplingRun]) {
         let &Local { entries, n } = gram;
@@ -281,6 +400,7 @@ impl GroupSums {
     }
 }
 
+#[inline(always)]
 fn add(sums: &mut [f64], parts: &[f64]) {
     for (sum, part) in sums.iter_mut().zip(parts) {
         *sum += part;

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::Arc;
 
+use crate::composite::CompositeColumns;
 use crate::problem::{Elimination, POSE_COLUMNS, Problem};
 
 /// Marks a column that is held fixed.
@@ -43,6 +45,24 @@ pub(crate) struct Structure {
 pub(crate) struct Signature {
     /// For each column of the list's blocks, the reduced column or `HELD`.
     pub columns: Vec<u32>,
+    /// How terms lie that have a composite pose, if they do.
+    pub composite: Option<CompositePlace>,
+}
+
+/// Where the columns of composite terms of one kind are.
+#[derive(Clone, Debug)]
+pub(crate) struct CompositePlace {
+    pub columns: Arc<CompositeColumns>,
+    /// The number of all columns of a term.
+    pub n_columns: usize,
+    /// The first column of the eliminated link.
+    pub eliminated: Option<usize>,
+}
+
+impl CompositePlace {
+    fn is_like(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.columns, &other.columns) && self.eliminated == other.eliminated
+    }
 }
 
 /// Where a term's columns belong.
@@ -133,7 +153,7 @@ impl Structure {
                 None => members.push((None, vec![term_idx])),
             }
         }
-        let mut signature_of: BTreeMap<Vec<usize>, usize> = BTreeMap::new();
+        let mut signatures_of: BTreeMap<Vec<usize>, Vec<usize>> = BTreeMap::new();
         for (eliminated, term_idxs) in members {
             let reduced_blocks = |term_idx: usize| {
                 problem.terms[term_idx]
@@ -155,10 +175,6 @@ impl Structure {
                 let list: Vec<usize> = reduced_blocks(term_idx).collect();
                 let signature_columns: Vec<u32> =
                     list.iter().flat_map(|&block| &self.reduced_columns[block]).copied().collect();
-                let signature = *signature_of.entry(list).or_insert_with(|| {
-                    self.signatures.push(Signature { columns: signature_columns });
-                    self.signatures.len() - 1
-                });
                 let mut coupling: Vec<CouplingRun> = Vec::new();
                 let mut eliminated_columns = None;
                 let mut n_columns = 0;
@@ -175,6 +191,23 @@ impl Structure {
                     }
                     n_columns = end;
                 }
+                let composite = problem.terms[term_idx].composite().map(|term| CompositePlace {
+                    columns: term.columns().clone(),
+                    n_columns,
+                    eliminated: eliminated_columns.as_ref().map(|columns| columns.start),
+                });
+                let known = signatures_of.entry(list).or_default();
+                let found = known.iter().copied().find(|&known| {
+                    match (&self.signatures[known].composite, &composite) {
+                        (Some(known), Some(composite)) => known.is_like(composite),
+                        (known, composite) => known.is_none() && composite.is_none(),
+                    }
+                });
+                let signature = found.unwrap_or_else(|| {
+                    known.push(self.signatures.len());
+                    self.signatures.push(Signature { columns: signature_columns, composite });
+                    self.signatures.len() - 1
+                });
                 self.terms.push(TermPlace {
                     term_idx,
                     signature,
