@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use boresight_camera::{Model, ParamGroup};
-use boresight_data::{CameraId, Dataset, FrameId, Id, IdVec, Scene, Shape, TargetId};
+use boresight_data::{CameraId, Dataset, FrameId, Id, IdVec, Observation, Scene, Shape, TargetId};
 use boresight_geometry::Pose;
 use boresight_solver::{BlockId, Elimination, Parameters, Problem, Term, Values, VectorPrior};
 
@@ -80,14 +80,14 @@ impl RigProblem {
             views: Vec::new(),
             priors: Vec::new(),
         };
-        problem.add_views(dataset, scene);
+        problem.add_views(dataset, scene)?;
         problem.add_regularization(dataset, scene, options.regularization);
         problem.hold(&options.holds);
         Ok(problem)
     }
 
     /// Adds a term for each view whose camera and frame the scene knows.
-    fn add_views(&mut self, dataset: &Dataset, scene: &Scene) {
+    fn add_views(&mut self, dataset: &Dataset, scene: &Scene) -> Result<(), Error> {
         let mut layouts = Layouts::default();
         // Whole boards share their points.
         let mut whole_boards: BTreeMap<TargetId, Arc<TargetPoints>> = BTreeMap::new();
@@ -103,6 +103,7 @@ impl RigProblem {
             }
             let frame = *self.frames[view.frame]
                 .get_or_insert_with(|| self.parameters.add_pose(&rig_from_target, Elimination::First));
+            check_sigmas(view_idx, &view.observations)?;
             let target = &dataset.targets[view.target];
             let observations = &view.observations;
             let is_whole = observations.len() == target.point_count()
@@ -130,6 +131,7 @@ impl RigProblem {
                 Reprojection::new(model, camera.lens, shape, chain, points, observations, &mut layouts);
             self.views.push((view_idx, term));
         }
+        Ok(())
     }
 
     fn add_regularization(&mut self, dataset: &Dataset, scene: &Scene, regularization: Regularization) {
@@ -262,6 +264,16 @@ fn mrcal_rows(
     rows
 }
 
+fn check_sigmas(view_idx: usize, observations: &[Observation]) -> Result<(), Error> {
+    for (observation_idx, observation) in observations.iter().enumerate() {
+        let sigma_px = observation.sigma_px;
+        if !sigma_px.is_finite() || sigma_px <= 0.0 {
+            return Err(Error::BadSigma { view_idx, observation_idx, sigma_px });
+        }
+    }
+    Ok(())
+}
+
 fn check(dataset: &Dataset, scene: &Scene) -> Result<(), Error> {
     let counts = [
         ("cameras", scene.rig.cameras.len(), dataset.cameras.len()),
@@ -280,12 +292,6 @@ fn check(dataset: &Dataset, scene: &Scene) -> Result<(), Error> {
         if !exists {
             let (camera, frame, target) = (view.camera, view.frame, view.target);
             return Err(Error::DanglingView { view_idx, camera, frame, target });
-        }
-        for (observation_idx, observation) in view.observations.iter().enumerate() {
-            let sigma_px = observation.sigma_px;
-            if !sigma_px.is_finite() || sigma_px <= 0.0 {
-                return Err(Error::BadSigma { view_idx, observation_idx, sigma_px });
-            }
         }
     }
     Ok(())
