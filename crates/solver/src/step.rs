@@ -265,8 +265,13 @@ fn solve_coupling<S: Simd>(
             let n = (length - first).min(COLUMNS);
             let mut panel = [0.0; PANEL];
             for k in 0..SIDE {
-                let row = k * n_coupled + place + first;
-                panel[k * COLUMNS..k * COLUMNS + n].copy_from_slice(&sums.coupling[row..row + n]);
+                let row = &sums.coupling[k * n_coupled + place + first..];
+                let into = &mut panel[k * COLUMNS..(k + 1) * COLUMNS];
+                // Most panels are full, and a copy of known length is two instructions instead of a call.
+                match row.first_chunk::<COLUMNS>() {
+                    Some(full) if n == COLUMNS => into.copy_from_slice(full),
+                    _ => into[..n].copy_from_slice(&row[..n]),
+                }
             }
             let (vectors, _) = S::as_mut_simd_f64s(&mut panel);
             let n_parts = vectors.len() / SIDE;
