@@ -19,3 +19,4 @@ pub use chain::{Chain, Link};
 pub use error::Error;
 pub use options::{AdjustOptions, Hold, Loss, Observer, Progress, Regularization, Rejection};
 pub use reprojection::{Layouts, Reprojection, TargetPoints};
+pub use rig_problem::mrcal22_rows;

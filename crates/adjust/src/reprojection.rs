@@ -176,6 +176,16 @@ impl Reprojection {
         };
     }
 
+    /// Returns the same term for other pixels and sigmas of the same points.
+    pub fn with_pixels(&self, observations: &[Observation]) -> Self {
+        assert_eq!(self.points.n_points, observations.len(), "each observation has its point");
+        let pixels =
+            [0, 1].map(|axis| padded(observations.iter().map(|observation| observation.pixel[axis])));
+        let mut term = Self { pixels, ..self.clone() };
+        term.set_kept(observations, |_| true);
+        term
+    }
+
     /// Sets the loss.
     pub fn set_loss(&mut self, loss: Loss) {
         self.loss = loss;

@@ -147,7 +147,7 @@ impl RigProblem {
                 Regularization::Mrcal22 => {
                     let is_rational = camera.model.param_groups().contains(&ParamGroup::Rational);
                     let n_params = camera.params.len();
-                    mrcal_rows(n_rows, n_cameras, n_params, is_rational, camera.image_size)
+                    mrcal22_rows(n_rows, n_cameras, n_params, is_rational, camera.image_size)
                 }
             };
             if !rows.is_empty() {
@@ -240,8 +240,9 @@ fn default_rows(groups: &[ParamGroup]) -> Vec<(usize, f64, f64)> {
 /// Returns the regularisation rows of mrcal up to 2.5.2, whose residuals are in pixels.
 ///
 /// `n_rows` counts all rows of pixels, rejected ones included. The scale of distortions is 2, that of
-/// the centre 500 px; the denominators of a rational lens weigh five times as much.
-fn mrcal_rows(
+/// the centre 500 px; the denominators of a rational lens weigh five times as much. Each row is a
+/// column of the lens, its mean, and the inverse of its sigma.
+pub fn mrcal22_rows(
     n_rows: usize,
     n_cameras: usize,
     n_params: usize,
