@@ -16,6 +16,6 @@ pub mod registry;
 mod roots;
 pub mod textbook;
 
-pub use camera::{Camera, Error};
+pub use camera::{Camera, Error, Linearized};
 pub use model::{CameraModel, MAX_PARAMS, ParamGroup};
 pub use registry::{Model, ModelVisitor};

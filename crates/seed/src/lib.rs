@@ -24,12 +24,17 @@ mod rig_bundle;
 mod robust;
 mod sighting;
 mod subset;
+mod three_point;
 mod zhang;
 
 use boresight_camera::Model;
 use boresight_data::{CameraId, Dataset, Id as _, Scene};
 
 pub use left_out::LeftOut;
+pub use three_point::{
+    ThreePointError, ThreePointPose, ThreePointPoses, backward_project, three_point_poses,
+    triangle_from_sides,
+};
 
 use crate::intrinsics::{CameraSeed, seed_camera};
 use crate::sighting::Sighting;

@@ -1,0 +1,17 @@
+//! `boresight robot`: the robot side of a camera. A subcommand is a file in the folder `robot` and one
+//! line in each of the two lists here.
+
+use std::process::ExitCode;
+
+use clap::Subcommand;
+
+use crate::failure::Failure;
+
+/// What can be done for a robot.
+#[derive(Debug, Subcommand)]
+pub(crate) enum RobotCommand {}
+
+/// Runs a subcommand.
+pub(crate) fn run(command: &RobotCommand) -> Result<ExitCode, Failure> {
+    match *command {}
+}
