@@ -20,5 +20,5 @@ pub use calibration::{
 pub use dataset::{CameraInfo, Dataset, Frame, Observation, View};
 pub use finding::{Finding, Severity};
 pub use ids::{CameraId, FrameId, Id, IdVec, PointId, TargetId};
-pub use scene::{Mount, Rig, RigCamera, Robot, Scene, TargetBelief, TargetMount};
+pub use scene::{Mount, Mounting, Rig, RigCamera, Robot, Scene, TargetBelief, TargetMount};
 pub use target::{Geometry, Shape, Target};

@@ -2,6 +2,7 @@
 
 use boresight_camera::Camera;
 use boresight_geometry::{Pose, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::{CameraId, FrameId, IdVec, TargetId};
 
@@ -82,6 +83,69 @@ pub enum TargetMount {
         /// The target's pose on the flange.
         flange_from_target: Pose,
     },
+}
+
+/// Which of rig and target moves with the robot's flange; the other stays in the work cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Mounting {
+    /// A mobile camera: the rig is on the flange, the target in the work cell.
+    RigOnFlange,
+    /// A fixed camera: the rig is in the work cell, the target on the flange.
+    RigInBase,
+}
+
+impl Robot {
+    /// Returns a robot whose carrier bears the rig at `carrier_from_rig` and whose other end bears the target.
+    pub fn mounted(mounting: Mounting, carrier_from_rig: Pose, other_from_target: Pose) -> Self {
+        let (mount, target_mount) = match mounting {
+            Mounting::RigOnFlange => (
+                Mount::OnFlange { flange_from_rig: carrier_from_rig },
+                TargetMount::Fixed { base_from_target: other_from_target },
+            ),
+            Mounting::RigInBase => (
+                Mount::Fixed { base_from_rig: carrier_from_rig },
+                TargetMount::OnFlange { flange_from_target: other_from_target },
+            ),
+        };
+        Self { mount, target_mount, tip_in_flange: None }
+    }
+
+    /// Returns which of rig and target moves, or `None` if both do or neither does.
+    pub fn mounting(&self) -> Option<Mounting> {
+        match (&self.mount, &self.target_mount) {
+            (Mount::OnFlange { .. }, TargetMount::Fixed { .. }) => Some(Mounting::RigOnFlange),
+            (Mount::Fixed { .. }, TargetMount::OnFlange { .. }) => Some(Mounting::RigInBase),
+            _ => None,
+        }
+    }
+
+    /// Returns the rig's pose on the flange or in the base, whichever bears it.
+    pub fn carrier_from_rig(&self) -> Pose {
+        match self.mount {
+            Mount::OnFlange { flange_from_rig } => flange_from_rig,
+            Mount::Fixed { base_from_rig } => base_from_rig,
+        }
+    }
+
+    /// Returns the first target's pose in the base or on the flange, whichever bears it.
+    pub fn other_from_target(&self) -> Pose {
+        match self.target_mount {
+            TargetMount::Fixed { base_from_target } => base_from_target,
+            TargetMount::OnFlange { flange_from_target } => flange_from_target,
+        }
+    }
+
+    /// Returns where the rig sees the first target when the flange is at `base_from_flange`.
+    pub fn rig_from_target(&self, base_from_flange: &Pose) -> Pose {
+        let other_from_carrier = match (&self.mount, &self.target_mount) {
+            (Mount::OnFlange { .. }, TargetMount::Fixed { .. }) => *base_from_flange,
+            (Mount::Fixed { .. }, TargetMount::OnFlange { .. }) => base_from_flange.inverse(),
+            // Both on the same body: the robot's pose plays no part.
+            _ => Pose::identity(),
+        };
+        (other_from_carrier * self.carrier_from_rig()).inverse() * self.other_from_target()
+    }
 }
 
 impl Rig {

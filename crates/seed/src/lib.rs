@@ -11,6 +11,7 @@
 mod average;
 mod bundle;
 mod graph;
+pub mod hand_eye;
 mod intrinsics;
 mod kernel;
 mod left_out;
