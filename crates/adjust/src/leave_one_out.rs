@@ -45,7 +45,7 @@ pub fn leave_one_out(
         let others = without(dataset, frame);
         let scene = optimize(&others, optimum, options)?.scene;
         let Some(robot) = &scene.robot else { continue };
-        let rig_from_target = robot.rig_from_target(&base_from_flange);
+        let rig_from_target = robot.rig_from_target(&robot.corrected(&base_from_flange));
         let mut errors = SightErrors::default();
         for view in dataset.views.iter().filter(|view| view.frame == frame) {
             errors.add(sight_errors(dataset, &scene, view, &rig_from_target));

@@ -98,6 +98,9 @@ pub struct RobotNoise {
     pub rotation_rad: f64,
     /// Of the flange's position along each axis, in metres.
     pub translation_m: f64,
+    /// Of each number of the linear map by which all positions are off together, see
+    /// [`Stretch`](boresight_data::Stretch); `None` takes them as right on the whole.
+    pub stretch: Option<f64>,
 }
 
 /// Something that is held at its seed.

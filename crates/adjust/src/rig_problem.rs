@@ -74,7 +74,7 @@ impl RigProblem {
                 .then(|| parameters.add_pose(&belief.first_from_target, Elimination::Reduced));
             targets.push(TargetBlocks { shape, first_from_target });
         }
-        let robot = RobotPart::new(dataset, scene, &mut parameters);
+        let robot = RobotPart::new(dataset, scene, options.robot_noise, &mut parameters);
         let mut problem = Self {
             parameters,
             cameras,

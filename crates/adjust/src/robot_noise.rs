@@ -8,6 +8,7 @@
 
 use boresight_data::{Dataset, Scene};
 use boresight_geometry::Matrix6;
+use boresight_geometry::nalgebra::SMatrix;
 use boresight_solver::{Term, covariance, solve};
 
 use crate::adjust::{named, solve_options};
@@ -20,7 +21,7 @@ const MAX_ROUNDS: usize = 60;
 /// Rounds end when no sigma changes by more than this share any more.
 const SETTLED_BELOW: f64 = 2e-3;
 /// Sigmas below which a robot counts as exact.
-const LEAST: RobotNoise = RobotNoise { rotation_rad: 1e-8, translation_m: 1e-8 };
+const LEAST: RobotNoise = RobotNoise { rotation_rad: 1e-8, translation_m: 1e-8, stretch: Some(1e-8) };
 
 /// A robot's noise as the data tell it.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,6 +78,7 @@ pub fn estimate_robot_noise(
         relative = RobotNoise {
             rotation_rad: update(relative.rotation_rad, &groups.rotations, LEAST.rotation_rad),
             translation_m: update(relative.translation_m, &groups.translations, LEAST.translation_m),
+            stretch: relative.stretch.map(|sigma| update(sigma, &groups.stretch, LEAST.rotation_rad)),
         };
         let is_settled = largest_change < SETTLED_BELOW;
         if is_settled || round == MAX_ROUNDS {
@@ -86,6 +88,7 @@ pub fn estimate_robot_noise(
                 noise: RobotNoise {
                     rotation_rad: relative.rotation_rad * pixel_factor,
                     translation_m: relative.translation_m * pixel_factor,
+                    stretch: relative.stretch.map(|sigma| sigma * pixel_factor),
                 },
                 relative,
                 relative_sigmas: redundancies.map(|redundancy| 1.0 / (2.0 * redundancy).sqrt()),
@@ -118,6 +121,7 @@ struct Groups {
     pixels: Group,
     rotations: Group,
     translations: Group,
+    stretch: Group,
 }
 
 impl Groups {
@@ -128,9 +132,21 @@ impl Groups {
         let (mut rotations, mut translations) = (Group::default(), Group::default());
         for (_, reading) in &rig.robot.readings {
             let (residuals, jacobian) = reading.rows(values);
-            let own = covariance.eliminated(reading.block).unwrap_or_default();
+            // The rows' own variances come from pose and map together; what both share is in the cross terms.
+            let own = covariance.eliminated(reading.pose()).unwrap_or_default();
             let own = Matrix6::from_fn(|row, column| own[row][column]);
-            let shares = (jacobian * own * jacobian.transpose()).diagonal();
+            let by_pose = jacobian.fixed_columns::<6>(0).into_owned();
+            let mut shares = (by_pose * own * by_pose.transpose()).diagonal();
+            if let Some(stretch) = &rig.robot.stretch {
+                let by_map = jacobian.fixed_columns::<9>(6).into_owned();
+                let of_map = SMatrix::<f64, 9, 9>::from_fn(|a, b| {
+                    covariance.between((stretch.block, a), (stretch.block, b))
+                });
+                let both = covariance.eliminated_with(reading.pose(), stretch.block);
+                let both = SMatrix::<f64, 6, 9>::from_fn(|a, b| both[a][b]);
+                shares += (by_map * of_map * by_map.transpose()).diagonal()
+                    + 2.0 * (by_pose * both * by_map.transpose()).diagonal();
+            }
             for (group, rows) in [(&mut rotations, 0..3), (&mut translations, 3..6)] {
                 for row in rows {
                     group.cost += residuals[row] * residuals[row];
@@ -138,16 +154,25 @@ impl Groups {
                 }
             }
         }
+        let mut stretch = Group::default();
+        if let Some(block) = &rig.robot.stretch {
+            for (i, number) in values.vector(block.block).iter().enumerate() {
+                let variance = covariance.between((block.block, i), (block.block, i));
+                stretch.cost += (number / block.sigma).powi(2);
+                stretch.redundancy += 1.0 - variance / (block.sigma * block.sigma);
+            }
+        }
         let n_pixels: usize = rig.views.iter().map(|(_, term)| term.row_count()).sum();
         let n_priors: usize = rig.priors.iter().map(Term::row_count).sum();
         let n_robot = 6 * rig.robot.readings.len();
         // Redundancies of all groups add up to rows minus unknowns. What few priors there are count as
         // much as they have rows, which is right where they decide and off by one at most elsewhere.
-        let all = (n_pixels + n_priors + n_robot) as f64 - rig.parameters.free_count() as f64;
+        let n_stretch = if rig.robot.stretch.is_some() { 9 } else { 0 };
+        let all = (n_pixels + n_priors + n_robot + n_stretch) as f64 - rig.parameters.free_count() as f64;
         let pixels = Group {
             cost: covariance.observation_cost - rotations.cost - translations.cost,
-            redundancy: (all - rotations.redundancy - translations.redundancy).max(1.0),
+            redundancy: (all - rotations.redundancy - translations.redundancy - stretch.redundancy).max(1.0),
         };
-        Ok(Self { pixels, rotations, translations })
+        Ok(Self { pixels, rotations, translations, stretch })
     }
 }

@@ -9,6 +9,7 @@ mod checks;
 mod compare;
 mod document;
 mod doubts;
+mod pose_doctor;
 mod working_points;
 
 use boresight_adjust::{
@@ -30,7 +31,11 @@ use crate::options::CalibrateOptions;
 pub use checks::{ROBOT_CODES, check_motions, explain_robot};
 pub use compare::{Figures, MethodFigures};
 pub use document::{HAND_EYE_SCHEMA, HandEyeDocument};
+pub use pose_doctor::{PoseReadings, describe as describe_reading, read_poses};
 pub use working_points::{SigmaSource, WorkingPoint};
+
+/// Frames below which a map of the robot's errors of position is not estimated.
+const LEAST_FRAMES_FOR_STRETCH: usize = 8;
 
 /// How a robot is calibrated.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -82,7 +87,22 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     let dataset = without_rejected(&first.dataset, &first.calibration);
     let frames = frames_told(&dataset, &first.calibration.scene);
     let poses: Vec<Pose> = frames.iter().map(|told| told.base_from_flange).collect();
+    let told = robot.row_of_frame.iter().flatten().count();
+    let readings = pose_doctor::pose_readings(robot, &dataset, &first.calibration.scene);
+    if poses.len() < told
+        && dataset
+            .frames
+            .iter()
+            .zip(&robot.row_of_frame)
+            .any(|(frame, row)| row.is_some() && frame.base_from_flange.is_none())
+    {
+        return Err(Error::UnreadablePoses {
+            convention: robot.convention,
+            finding: readings.finding.map(Box::new),
+        });
+    }
     let mut findings = check_motions(&poses, robot.axes)?;
+    findings.extend(readings.finding.filter(|_| robot.axes == RobotAxes::Six));
     let pairs = |mounting| -> Vec<PosePair> {
         frames.iter().map(|told| pose_pair(mounting, &told.base_from_flange, &told.rig_from_target)).collect()
     };
@@ -129,35 +149,52 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     let mut with_first_lenses = seed.clone();
     with_first_lenses.rig = first.calibration.scene.rig.clone();
     offer("adjusted, lenses held", held, &with_first_lenses)?;
-    let noise = match options.noise {
-        NoiseChoice::None => None,
+    let mut noises: [Option<EstimatedNoise>; 2] = [None, None];
+    match options.noise {
+        NoiseChoice::None => {}
         NoiseChoice::Known(noise) => {
             let factor = first.calibration.uncertainty.noise_factor.max(1e-9);
             let relative = RobotNoise {
                 rotation_rad: noise.rotation_rad / factor,
                 translation_m: noise.translation_m / factor,
+                stretch: None,
             };
             offer(
                 "adjusted, robot noise known",
                 AdjustOptions { robot_noise: Some(relative), ..exact.clone() },
                 &seed,
             )?;
-            None
         }
         NoiseChoice::Estimated => {
             let factor = first.calibration.uncertainty.noise_factor.max(1e-9);
-            let start = RobotNoise { rotation_rad: 1e-3 / factor, translation_m: 1e-3 / factor };
+            let start =
+                RobotNoise { rotation_rad: 1e-3 / factor, translation_m: 1e-3 / factor, stretch: None };
             let noise = estimate_robot_noise(&dataset, &with_first_lenses, start, &exact)?;
-            if let Some(noise) = &noise {
-                let with = AdjustOptions { robot_noise: Some(noise.relative), ..exact.clone() };
-                offer("adjusted, robot noise estimated", with, &noise.scene)?;
+            if let Some(plain) = &noise {
+                let with = AdjustOptions { robot_noise: Some(plain.relative), ..exact.clone() };
+                offer("adjusted, robot noise estimated", with, &plain.scene)?;
             }
-            noise
+            let stretched = match &noise {
+                // The map's nine numbers take more than they give from few frames, and need all axes to move.
+                Some(plain) if frames.len() >= LEAST_FRAMES_FOR_STRETCH && robot.axes == RobotAxes::Six => {
+                    let start = RobotNoise { stretch: Some(1e-2 / factor), ..plain.relative };
+                    estimate_robot_noise(&dataset, &plain.scene, start, &exact)?
+                }
+                _ => None,
+            };
+            if let Some(stretched) = &stretched {
+                let with = AdjustOptions { robot_noise: Some(stretched.relative), ..exact.clone() };
+                offer("adjusted, robot noise and stretch estimated", with, &stretched.scene)?;
+            }
+            noises = [noise, stretched];
         }
-    };
+    }
     let n_closed = methods.len() - candidates.len();
     let chosen = best_of(&methods[n_closed..]);
     let (chosen_options, held_out) = &candidates[chosen];
+    let is_stretched = chosen_options.robot_noise.is_some_and(|noise| noise.stretch.is_some());
+    let [plain, stretched] = noises;
+    let noise = if is_stretched { stretched } else { plain };
     let start = match (&noise, chosen_options.robot_noise) {
         (Some(noise), Some(_)) => &noise.scene,
         _ if chosen == 1 => &with_first_lenses,
@@ -174,8 +211,9 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     findings.extend(doubts::of_noise(&methods, noise.as_ref(), is_noise_used));
     findings.extend(doubts::of_frames(&dataset, held_out));
     findings.extend(doubts::of_height(robot.axes, robot.height_m));
-    findings.extend(boresight_validate::findings(&dataset, &calibration));
-    findings.extend(job.findings.iter().cloned());
+    findings.extend(doubts::of_stretch(&calibration));
+    // Of the cameras it is their own calibration that tells; here residuals have the robot's errors in them.
+    findings.extend(first.findings.iter().cloned());
     findings.sort_by_key(|finding: &Finding| std::cmp::Reverse(finding.severity));
     let frames = held_out.iter().map(|held_out| {
         let name = dataset.frames[held_out.frame].name.clone();

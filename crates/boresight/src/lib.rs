@@ -45,7 +45,7 @@ pub use error::{Error, ErrorKind};
 pub use explain::{codes, explain};
 pub use hand_eye::{
     Figures, HAND_EYE_SCHEMA, HandEyeDocument, HandEyeOptions, HandEyeOutcome, MethodFigures, NoiseChoice,
-    SigmaSource, WorkingPoint, check_motions, hand_eye,
+    PoseReadings, SigmaSource, WorkingPoint, check_motions, describe_reading, hand_eye, read_poses,
 };
 pub use options::CalibrateOptions;
 pub use results::{RESULT_FILES, result_files, sigma_of, write_results};

@@ -2,6 +2,7 @@
 //! line in each of the two lists here.
 
 mod hand_eye;
+mod poses;
 
 use std::process::ExitCode;
 
@@ -14,11 +15,14 @@ use crate::failure::Failure;
 pub(crate) enum RobotCommand {
     /// Calibrate where cameras and target sit on a robot, with the lenses, in one adjustment
     HandEye(hand_eye::HandEyeArguments),
+    /// Try all conventions of a table of robot poses on the data, and rank them
+    Poses(poses::PosesArguments),
 }
 
 /// Runs a subcommand.
 pub(crate) fn run(command: &RobotCommand) -> Result<ExitCode, Failure> {
     match command {
         RobotCommand::HandEye(arguments) => hand_eye::run(arguments),
+        RobotCommand::Poses(arguments) => poses::run(arguments),
     }
 }

@@ -25,5 +25,5 @@ pub use pose_convention::{
     AngleUnit, BadPoseConvention, LengthUnit, MAKERS, PoseConvention, PoseDirection, PoseRow, RotationKind,
     TurnsAbout,
 };
-pub use scene::{Mount, Mounting, Rig, RigCamera, Robot, Scene, TargetBelief, TargetMount};
+pub use scene::{Mount, Mounting, Rig, RigCamera, Robot, Scene, Stretch, TargetBelief, TargetMount};
 pub use target::{Geometry, Shape, Target};

@@ -1,7 +1,7 @@
 //! What is believed: lenses, where cameras sit, where targets stood. Seeds, solutions and truths are scenes.
 
 use boresight_camera::Camera;
-use boresight_geometry::{Pose, Vector3};
+use boresight_geometry::{Matrix3, Pose, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::{CameraId, FrameId, IdVec, TargetId};
@@ -53,6 +53,26 @@ pub struct Robot {
     pub target_mount: TargetMount,
     /// The touching tip, where one was used.
     pub tip_in_flange: Option<Vector3<f64>>,
+    /// How the robot's positions are off as a whole, where that was estimated.
+    pub stretch: Option<Stretch>,
+}
+
+/// A robot's positions are off by a linear map of the distance from a centre: a wrong length of an arm, a slanted
+/// axis, or a target whose spacing is not what is stated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretch {
+    /// The centre in the base, in metres.
+    pub centre_in_base: Vector3<f64>,
+    /// What is to be added to a position, for each metre from the centre.
+    pub matrix: Matrix3<f64>,
+}
+
+impl Stretch {
+    /// Returns where the flange is when the robot says that it is at `base_from_flange`.
+    pub fn corrected(&self, base_from_flange: &Pose) -> Pose {
+        let offset = self.matrix * (base_from_flange.translation - self.centre_in_base);
+        Pose::new(base_from_flange.rotation, base_from_flange.translation + offset)
+    }
 }
 
 /// Where the rig is mounted.
@@ -108,7 +128,7 @@ impl Robot {
                 TargetMount::OnFlange { flange_from_target: other_from_target },
             ),
         };
-        Self { mount, target_mount, tip_in_flange: None }
+        Self { mount, target_mount, tip_in_flange: None, stretch: None }
     }
 
     /// Returns which of rig and target moves, or `None` if both do or neither does.
@@ -134,6 +154,11 @@ impl Robot {
             TargetMount::Fixed { base_from_target } => base_from_target,
             TargetMount::OnFlange { flange_from_target } => flange_from_target,
         }
+    }
+
+    /// Returns where the flange is when the robot says that it is at `base_from_flange`.
+    pub fn corrected(&self, base_from_flange: &Pose) -> Pose {
+        self.stretch.map_or(*base_from_flange, |stretch| stretch.corrected(base_from_flange))
     }
 
     /// Returns where the rig sees the first target when the flange is at `base_from_flange`.

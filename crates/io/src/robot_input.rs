@@ -143,11 +143,8 @@ pub(crate) fn load_robot(
     let row_of_frame = rows_of_frames(dataset, &rows, place)?;
     for (frame, row) in dataset.frames.iter_mut().zip(&row_of_frame) {
         let Some(row_idx) = row else { continue };
-        let Some(base_from_flange) = convention.base_from_flange(&rows[*row_idx]) else {
-            let message = format!("row {} of the poses is no pose read as {convention}", row_idx + 1);
-            return Err(config(message, "check the convention: `boresight robot poses` tries all of them"));
-        };
-        frame.base_from_flange = Some(base_from_flange);
+        // A row that is no pose in this convention is told by whoever needs it.
+        frame.base_from_flange = convention.base_from_flange(&rows[*row_idx]);
     }
     let robot = RobotInput { mounting, rows, convention, row_of_frame, axes, height_m: table.height_m };
     Ok(Some((robot, hashes)))

@@ -7,6 +7,7 @@
 
 mod four_axis;
 mod motion;
+mod reading;
 mod robot_world;
 mod rotation;
 mod translation;
@@ -16,6 +17,7 @@ use boresight_geometry::nalgebra::Matrix4;
 use boresight_geometry::{Matrix3, Pose, UnitQuaternion, Vector3};
 
 pub use motion::{MotionSpread, motion_spread};
+pub use reading::{Reading, RowChange, readings};
 
 use crate::linear::nearest_rotation;
 

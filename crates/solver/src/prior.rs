@@ -62,25 +62,6 @@ impl PosePrior {
     pub fn new(block: BlockId, mean: Pose, inverse_sigmas: [f64; 6]) -> Self {
         Self { block: [block], mean, inverse_sigmas }
     }
-
-    /// Returns the residuals at a pose, in sigmas, rotation first, and their derivatives by a left
-    /// perturbation of the pose.
-    pub fn rows(&self, pose: &Pose) -> (Vector6<f64>, Matrix6<f64>) {
-        let rotation = Pose::new(pose.rotation * self.mean.rotation.inverse(), Vector3::zeros()).rodrigues();
-        let translation = pose.translation - self.mean.translation;
-        // A left perturbation (w, v) turns the rotation by w and moves the translation by w × t + v.
-        let mut jacobian = Matrix6::identity();
-        jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&left_jacobian_inverse(&rotation));
-        jacobian.fixed_view_mut::<3, 3>(3, 0).copy_from(&-skew(&pose.translation));
-        let mut residual = Vector6::zeros();
-        residual.fixed_rows_mut::<3>(0).copy_from(&rotation);
-        residual.fixed_rows_mut::<3>(3).copy_from(&translation);
-        for (k, &inverse_sigma) in self.inverse_sigmas.iter().enumerate() {
-            residual[k] *= inverse_sigma;
-            jacobian.row_mut(k).scale_mut(inverse_sigma);
-        }
-        (residual, jacobian)
-    }
 }
 
 impl Term for PosePrior {
@@ -98,7 +79,20 @@ impl Term for PosePrior {
 
     fn linearize(&self, values: Values<'_>, gram: &mut GramMut<'_>, _: &mut Scratch) -> Option<f64> {
         gram.clear();
-        let (residual, jacobian) = self.rows(&values.pose(self.block[0]));
+        let pose = values.pose(self.block[0]);
+        let rotation = Pose::new(pose.rotation * self.mean.rotation.inverse(), Vector3::zeros()).rodrigues();
+        let translation = pose.translation - self.mean.translation;
+        // A left perturbation (w, v) turns the rotation by w and moves the translation by w × t + v.
+        let mut jacobian = Matrix6::identity();
+        jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&left_jacobian_inverse(&rotation));
+        jacobian.fixed_view_mut::<3, 3>(3, 0).copy_from(&-skew(&pose.translation));
+        let mut residual = Vector6::zeros();
+        residual.fixed_rows_mut::<3>(0).copy_from(&rotation);
+        residual.fixed_rows_mut::<3>(3).copy_from(&translation);
+        for (k, &inverse_sigma) in self.inverse_sigmas.iter().enumerate() {
+            residual[k] *= inverse_sigma;
+            jacobian.row_mut(k).scale_mut(inverse_sigma);
+        }
         let cost = residual.norm_squared();
         let (hessian, gradient) = (jacobian.transpose() * jacobian, jacobian.transpose() * residual);
         for k in 0..6 {

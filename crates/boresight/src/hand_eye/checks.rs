@@ -194,6 +194,16 @@ pub const ROBOT_CODES: &[(&str, &str)] = &[
          How to fix it: check the convention that is named against the robot's manual, and state it as `convention` of\n\
          [robot] or with --poses-as. It is never changed without being told.",
     ),
+    (
+        "robot-stretched",
+        "What it means: the robot's positions and the pictures agree far better if positions are corrected by a linear\n\
+         map of the distance from their middle, `stretch` in the result. A common scale in it says that the target's\n\
+         spacing is not what was stated, or that the robot's lengths are not; the rest are errors of its axes.\n\n\
+         Why it matters: without the correction every position is off by that much for each metre of travel. With it,\n\
+         the calibration holds for corrected positions only.\n\n\
+         How to fix it: measure the target's spacing over its whole length. Have the robot calibrated, or correct the\n\
+         positions it says by `stretch` before the result is used with them.",
+    ),
 ];
 
 /// Returns the long text of a robot finding's code.

@@ -1,7 +1,7 @@
 //! What is doubtful about a robot's calibration once it is made.
 
 use boresight_adjust::{EstimatedNoise, HeldOut};
-use boresight_data::{Dataset, Finding, Mounting, Severity};
+use boresight_data::{Calibration, Dataset, Finding, Mounting, Severity};
 use boresight_io::RobotAxes;
 
 use super::MethodFigures;
@@ -81,6 +81,32 @@ pub(super) fn of_frames(dataset: &Dataset, held_out: &[HeldOut]) -> Vec<Finding>
             .to_owned(),
     })
     .collect()
+}
+
+/// How much a position may be off for each metre before it is told.
+const STRETCH_TOLD: f64 = 5e-4;
+
+/// Tells that the robot's positions are off as a whole.
+pub(super) fn of_stretch(calibration: &Calibration) -> Option<Finding> {
+    let stretch = calibration.scene.robot.as_ref()?.stretch?;
+    let largest = stretch.matrix.singular_values().max();
+    let scale = stretch.matrix.trace() / 3.0;
+    (largest > STRETCH_TOLD).then(|| Finding {
+        code: "robot-stretched".to_owned(),
+        severity: Severity::Caution,
+        place: "robot".to_owned(),
+        message: format!(
+            "frames left out are foretold best with positions off by up to {:.2} mm a metre; a common scale of {:.5} \
+             is part of it",
+            1e3 * largest,
+            1.0 + scale
+        ),
+        measured: Some(largest),
+        limit: Some(STRETCH_TOLD),
+        fix: "Check the spacing of the target with a ruler and the robot's own calibration; positions are to be \
+              corrected by `stretch` of the result."
+            .to_owned(),
+    })
 }
 
 /// Tells that a four-axis robot's height was not given.

@@ -69,7 +69,7 @@ pub(super) fn working_points(
     let points = dataset.frames.enumerate().filter_map(|(id, frame)| {
         let rig_from_target = calibration.scene.rig_from_target[id]?;
         let base_from_carrier = match mounting {
-            Mounting::RigOnFlange => frame.base_from_flange?,
+            Mounting::RigOnFlange => robot.corrected(&frame.base_from_flange?),
             Mounting::RigInBase => Pose::identity(),
         };
         dataset.views.iter().any(|view| view.frame == id).then_some(())?;

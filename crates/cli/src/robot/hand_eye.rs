@@ -89,7 +89,7 @@ fn parse_noise(text: &str) -> Result<NoiseChoice, String> {
     let rotation_rad = number(rotation, "deg", degree).or_else(|| number(rotation, "rad", 1.0));
     let translation_m = number(translation, "mm", 1e-3).or_else(|| number(translation, "m", 1.0));
     let (rotation_rad, translation_m) = rotation_rad.zip(translation_m).ok_or_else(bad)?;
-    Ok(NoiseChoice::Known(RobotNoise { rotation_rad, translation_m }))
+    Ok(NoiseChoice::Known(RobotNoise { rotation_rad, translation_m, stretch: None }))
 }
 
 /// Calibrates cameras and robot, writes, and prints the summary or the document.
