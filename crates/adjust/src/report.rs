@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use boresight_data::{
-    Calibration, CameraFit, CameraId, Dataset, Id, Provenance, RejectionReason, Scene, SolveRecord, TargetId,
-    Uncertainty, ViewFit,
+    Calibration, CameraFit, CameraId, Dataset, Id, Mounting, Provenance, RejectionReason, Scene, SolveRecord,
+    TargetId, Uncertainty, ViewFit,
 };
 use boresight_geometry::Vector3;
 use boresight_solver::{BlockId, Covariance, Solution, SolveOptions, Stop, covariance};
@@ -48,7 +48,7 @@ pub(crate) fn report(
     options: &AdjustOptions,
 ) -> Result<Calibration, Error> {
     let values = rig.parameters.values();
-    let scene = rig.scene(seed, values);
+    let scene = rig.scene(dataset, seed, values);
     let mut cameras: boresight_data::IdVec<CameraId, CameraFit> = dataset
         .cameras
         .iter()
@@ -179,7 +179,8 @@ fn uncertainty(
             return Ok((unavailable(why), None));
         }
         Err(boresight_solver::Error::LooseBlock { block }) => {
-            let frame = rig.frames.enumerate().find(|(_, frame)| **frame == Some(block));
+            let blocks = rig.frames.enumerate().chain(rig.robot.arms.enumerate());
+            let frame = { blocks }.find(|(_, frame)| **frame == Some(block));
             let place = frame.map_or("a pose".to_owned(), |(id, _)| {
                 format!("the pose of frame {}", dataset.frames[id].name)
             });
@@ -234,6 +235,17 @@ fn columns(dataset: &Dataset, rig: &RigProblem) -> Vec<(String, (BlockId, usize)
             for (k, name) in POSE_COLUMNS.iter().enumerate() {
                 columns.push((format!("{target}.first_from_target.{name}"), (pose, k)));
             }
+        }
+    }
+    if let Some(robot) = rig.robot.blocks {
+        let (rig_pose, target_pose) = match robot.mounting {
+            Mounting::RigOnFlange => ("flange_from_rig", "base_from_target"),
+            Mounting::RigInBase => ("base_from_rig", "flange_from_target"),
+        };
+        for (pose, block) in [(rig_pose, robot.carrier_from_rig), (target_pose, robot.other_from_first)] {
+            columns.extend(
+                POSE_COLUMNS.iter().enumerate().map(|(k, name)| (format!("robot.{pose}.{name}"), (block, k))),
+            );
         }
     }
     columns

@@ -10,8 +10,9 @@ use boresight_solver::{BlockId, Elimination, Parameters, Problem, Term, Values, 
 
 use crate::chain::{Chain, Link};
 use crate::error::Error;
-use crate::options::{AdjustOptions, Hold, Regularization};
+use crate::options::{AdjustOptions, Hold, Regularization, RobotNoise};
 use crate::reprojection::{Layouts, Reprojection, TargetPoints};
+use crate::robot::RobotPart;
 
 /// Expected size of a rational lens's radial coefficients.
 const RATIONAL_SIGMA: f64 = 2.0;
@@ -27,6 +28,7 @@ pub(crate) struct RigProblem {
     /// The terms, and for each the view it is of.
     pub views: Vec<(usize, Reprojection)>,
     pub priors: Vec<VectorPrior>,
+    pub robot: RobotPart,
 }
 
 /// The blocks of a camera.
@@ -72,6 +74,7 @@ impl RigProblem {
                 .then(|| parameters.add_pose(&belief.first_from_target, Elimination::Reduced));
             targets.push(TargetBlocks { shape, first_from_target });
         }
+        let robot = RobotPart::new(dataset, scene, options.robot_noise, &mut parameters);
         let mut problem = Self {
             parameters,
             cameras,
@@ -79,31 +82,46 @@ impl RigProblem {
             targets,
             views: Vec::new(),
             priors: Vec::new(),
+            robot,
         };
-        problem.add_views(dataset, scene)?;
+        problem.add_views(dataset, scene, options.robot_noise)?;
         problem.add_regularization(dataset, scene, options.regularization);
         problem.hold(&options.holds);
         Ok(problem)
     }
 
     /// Adds a term for each view whose camera and frame the scene knows.
-    fn add_views(&mut self, dataset: &Dataset, scene: &Scene) -> Result<(), Error> {
+    fn add_views(
+        &mut self,
+        dataset: &Dataset,
+        scene: &Scene,
+        noise: Option<RobotNoise>,
+    ) -> Result<(), Error> {
         let mut layouts = Layouts::default();
         // Whole boards share their points.
         let mut whole_boards: BTreeMap<TargetId, Arc<TargetPoints>> = BTreeMap::new();
         for (view_idx, view) in dataset.views.iter().enumerate() {
-            let (Some(camera), Some(rig_from_target)) =
-                (self.cameras[view.camera], scene.rig_from_target[view.frame])
+            let (Some(camera), Some(rig_camera)) =
+                (self.cameras[view.camera], &scene.rig.cameras[view.camera])
             else {
                 continue;
             };
-            let Some(rig_camera) = &scene.rig.cameras[view.camera] else { continue };
             if view.observations.is_empty() {
                 continue;
             }
-            let frame = *self.frames[view.frame]
-                .get_or_insert_with(|| self.parameters.add_pose(&rig_from_target, Elimination::First));
             check_sigmas(view_idx, &view.observations)?;
+            let said = dataset.frames[view.frame].base_from_flange;
+            let by_robot = self.robot.links(view.frame, said, noise, &mut self.parameters);
+            let to_first = match (by_robot, scene.rig_from_target[view.frame]) {
+                (Some(links), _) => links.to_vec(),
+                (None, Some(rig_from_target)) => {
+                    let frame = *self.frames[view.frame].get_or_insert_with(|| {
+                        self.parameters.add_pose(&rig_from_target, Elimination::First)
+                    });
+                    vec![Link::Block(frame)]
+                }
+                (None, None) => continue,
+            };
             let target = &dataset.targets[view.target];
             let observations = &view.observations;
             let is_whole = observations.len() == target.point_count()
@@ -122,7 +140,7 @@ impl RigProblem {
             let links = (!at_rig)
                 .then_some(Link::Block(camera.cam_from_rig))
                 .into_iter()
-                .chain([Link::Block(frame)])
+                .chain(to_first)
                 .chain(blocks.first_from_target.map(Link::Block));
             let chain = Chain { links: links.collect() };
             let shape = blocks.shape.map(|block| (block, target.shape.coefficient_count()));
@@ -179,6 +197,12 @@ impl RigProblem {
                         self.parameters.hold_all(block);
                     }
                 }
+                Hold::CarrierFromRig => {
+                    if let Some(blocks) = self.robot.blocks {
+                        self.parameters.hold_all(blocks.carrier_from_rig);
+                    }
+                }
+                Hold::BaseHeight => self.robot.hold_height(&self.parameters),
                 Hold::Shapes => {
                     for shape in self.targets.iter().filter_map(|blocks| blocks.shape) {
                         self.parameters.hold_all(shape);
@@ -192,7 +216,7 @@ impl RigProblem {
     pub(crate) fn problem(&self) -> Result<Problem<'_>, Error> {
         let views = self.views.iter().map(|(_, term)| term as &dyn Term);
         let priors = self.priors.iter().map(|prior| prior as &dyn Term);
-        Ok(Problem::new(&self.parameters, views.chain(priors).collect())?)
+        Ok(Problem::new(&self.parameters, views.chain(priors).chain(self.robot.terms()).collect())?)
     }
 
     /// Returns the names of a camera's lens parameters.
@@ -201,7 +225,7 @@ impl RigProblem {
     }
 
     /// Returns `scene` with what `values` say of it.
-    pub(crate) fn scene(&self, scene: &Scene, values: Values<'_>) -> Scene {
+    pub(crate) fn scene(&self, dataset: &Dataset, scene: &Scene, values: Values<'_>) -> Scene {
         let mut scene = scene.clone();
         for (blocks, camera) in self.cameras.iter().zip(scene.rig.cameras.iter_mut()) {
             if let (Some(blocks), Some(camera)) = (blocks, camera) {
@@ -220,6 +244,7 @@ impl RigProblem {
         for (block, pose) in self.frames.iter().zip(scene.rig_from_target.iter_mut()) {
             *pose = block.map(|block| values.pose(block));
         }
+        self.robot.write(dataset, values, &mut scene);
         scene
     }
 }

@@ -10,6 +10,7 @@ mod calibration;
 mod dataset;
 mod finding;
 mod ids;
+mod pose_convention;
 mod scene;
 mod target;
 
@@ -20,5 +21,9 @@ pub use calibration::{
 pub use dataset::{CameraInfo, Dataset, Frame, Observation, View};
 pub use finding::{Finding, Severity};
 pub use ids::{CameraId, FrameId, Id, IdVec, PointId, TargetId};
-pub use scene::{Mount, Rig, RigCamera, Robot, Scene, TargetBelief, TargetMount};
+pub use pose_convention::{
+    AngleUnit, BadPoseConvention, LengthUnit, MAKERS, PoseConvention, PoseDirection, PoseRow, RotationKind,
+    TurnsAbout,
+};
+pub use scene::{Mount, Mounting, Rig, RigCamera, Robot, Scene, Stretch, TargetBelief, TargetMount};
 pub use target::{Geometry, Shape, Target};

@@ -159,6 +159,15 @@ pub(crate) struct RobotDocument {
     pub mount: MountDocument,
     pub target_mount: TargetMountDocument,
     pub tip_in_flange_m: Option<[f64; 3]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stretch: Option<StretchDocument>,
+}
+
+/// How a robot's positions are off: `position + matrix * (position - centre)`, the matrix row by row.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct StretchDocument {
+    pub centre_in_base_m: [f64; 3],
+    pub matrix: [[f64; 3]; 3],
 }
 
 #[derive(Debug, Serialize, Deserialize)]

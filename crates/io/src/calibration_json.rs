@@ -7,17 +7,17 @@
 use boresight_camera::{Camera, Model};
 use boresight_data::{
     Calibration, CameraFit, Finding, Geometry, IdVec, Mount, PointId, Regularization, Rejection,
-    RejectionReason, Rig, RigCamera, Robot, Scene, Shape, SolveRecord, Target, TargetBelief, TargetMount,
-    Uncertainty, ViewFit,
+    RejectionReason, Rig, RigCamera, Robot, Scene, Shape, SolveRecord, Stretch, Target, TargetBelief,
+    TargetMount, Uncertainty, ViewFit,
 };
-use boresight_geometry::{Pose, UnitQuaternion, Vector3, nalgebra::Quaternion};
+use boresight_geometry::{Matrix3, Pose, UnitQuaternion, Vector3, nalgebra::Quaternion};
 use serde::Deserialize;
 
 use crate::calibration_document::{
     CameraDocument, CovarianceDocument, Document, Estimate, FrameDocument, GeometryDocument, MountDocument,
     Number, Param, Params, PoseDocument, ReasonDocument, RegularizationDocument, RejectionDocument,
-    RobotDocument, ShapeDocument, SolveDocument, TargetDocument, TargetMountDocument, TargetSummary,
-    ViewDocument,
+    RobotDocument, ShapeDocument, SolveDocument, StretchDocument, TargetDocument, TargetMountDocument,
+    TargetSummary, ViewDocument,
 };
 use crate::format::{NamedCamera, NamedCovariance, OutputFile, calibrated, holds};
 use crate::json_text::to_json;
@@ -391,6 +391,15 @@ fn write_robot(robot: &Robot) -> Result<RobotDocument, Error> {
             }
             None => None,
         },
+        stretch: match robot.stretch {
+            Some(Stretch { centre_in_base, matrix }) => {
+                let numbers = centre_in_base.iter().chain(matrix.iter());
+                { numbers }.try_for_each(|value| finite(*value, || "the robot's stretch".to_owned()))?;
+                let matrix = [0, 1, 2].map(|row| [0, 1, 2].map(|column| matrix[(row, column)]));
+                Some(StretchDocument { centre_in_base_m: centre_in_base.into(), matrix })
+            }
+            None => None,
+        },
     })
 }
 
@@ -495,6 +504,10 @@ impl Reader<'_> {
                 },
             },
             tip_in_flange: document.tip_in_flange_m.map(Vector3::from),
+            stretch: document.stretch.map(|stretch| Stretch {
+                centre_in_base: Vector3::from(stretch.centre_in_base_m),
+                matrix: Matrix3::from_fn(|row, column| stretch.matrix[row][column]),
+            }),
         })
     }
 }

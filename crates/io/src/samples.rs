@@ -115,6 +115,20 @@ pub(crate) fn sample() -> Calibration {
                 mount: Mount::OnFlange { flange_from_rig: pose(0.1) },
                 target_mount: TargetMount::Fixed { base_from_target: pose(0.2) },
                 tip_in_flange: Some(Vector3::new(0.0, 0.1, 0.2)),
+                stretch: Some(boresight_data::Stretch {
+                    centre_in_base: Vector3::new(0.3, 0.2, 0.1),
+                    matrix: boresight_geometry::Matrix3::new(
+                        1e-3,
+                        0.0,
+                        2.0 / 3.0,
+                        0.0,
+                        1e-4,
+                        0.0,
+                        0.1,
+                        0.0,
+                        0.0,
+                    ),
+                }),
             }),
             targets: IdVec::from(vec![
                 TargetBelief { shape_m: vec![1e-4, -2.0 / 3.0 * 1e-4], first_from_target: Pose::identity() },

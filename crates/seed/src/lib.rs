@@ -11,6 +11,7 @@
 mod average;
 mod bundle;
 mod graph;
+pub mod hand_eye;
 mod intrinsics;
 mod kernel;
 mod left_out;
@@ -27,7 +28,7 @@ mod subset;
 mod three_point;
 mod zhang;
 
-use boresight_camera::Model;
+use boresight_camera::{Camera, Model};
 use boresight_data::{CameraId, Dataset, Id as _, Scene};
 
 pub use left_out::LeftOut;
@@ -36,7 +37,7 @@ pub use three_point::{
     triangle_from_sides,
 };
 
-use crate::intrinsics::{CameraSeed, seed_camera};
+use crate::intrinsics::{CameraSeed, seed_camera, seed_known_camera};
 use crate::sighting::Sighting;
 
 /// How a seed is made.
@@ -54,6 +55,8 @@ pub struct SeedOptions {
     pub lens_points_per_view: usize,
     /// At most this many steps refine lens and poses together.
     pub lens_steps: usize,
+    /// The lenses that are known; empty knows none. Four points are enough for their views.
+    pub known: Vec<(CameraId, Camera)>,
 }
 
 impl Default for SeedOptions {
@@ -65,7 +68,15 @@ impl Default for SeedOptions {
             lens_views: 30,
             lens_points_per_view: 80,
             lens_steps: 10,
+            known: Vec::new(),
         }
+    }
+}
+
+impl SeedOptions {
+    /// Returns the lens of a camera, if it is known.
+    fn known(&self, camera: CameraId) -> Option<&Camera> {
+        self.known.iter().find(|(known, _)| *known == camera).map(|(_, lens)| lens)
     }
 }
 
@@ -133,7 +144,8 @@ pub fn seed(dataset: &Dataset, options: &SeedOptions) -> Result<Seed, Error> {
     let mut left_out = Vec::new();
     let mut sightings: Vec<Vec<Sighting>> = vec![Vec::new(); n_cameras];
     for (view_idx, view) in dataset.views.iter().enumerate() {
-        match Sighting::new(view_idx, view, &dataset.targets[view.target], options.min_points.max(4)) {
+        let min_points = if options.known(view.camera).is_some() { 4 } else { options.min_points.max(4) };
+        match Sighting::new(view_idx, view, &dataset.targets[view.target], min_points) {
             Ok(sighting) => sightings[view.camera.index()].push(sighting),
             Err(fact) => left_out.push(fact),
         }
@@ -142,7 +154,11 @@ pub fn seed(dataset: &Dataset, options: &SeedOptions) -> Result<Seed, Error> {
     let mut camera_facts = Vec::new();
     for (id, info) in dataset.cameras.enumerate() {
         let model = options.models[if options.models.len() == 1 { 0 } else { id.index() }];
-        let seeded = seed_camera(id, info, model, &sightings[id.index()], options, &mut left_out);
+        let of_camera = &sightings[id.index()];
+        let seeded = match options.known(id) {
+            Some(lens) => seed_known_camera(id, lens, of_camera, &mut left_out),
+            None => seed_camera(id, info, model, of_camera, options, &mut left_out),
+        };
         cameras.push(seeded.map_err(|fact| camera_facts.push(fact)).ok());
     }
     if cameras.iter().all(Option::is_none) {

@@ -162,6 +162,30 @@ impl Covariance {
         Some(covariance)
     }
 
+    /// Returns the covariance of the columns of a block that was eliminated first with those of a reduced block.
+    ///
+    /// A row for each of the first's columns; zero where either is held or no term sees the first.
+    pub fn eliminated_with(&self, block: BlockId, reduced: BlockId) -> Vec<Vec<f64>> {
+        let columns = &self.structure.reduced_columns[reduced.0];
+        let mut covariance = vec![vec![0.0; columns.len()]; SIDE];
+        let Some(eliminated) = self.eliminated[block.0].as_ref() else { return covariance };
+        let n = eliminated.columns.len();
+        for (k, row) in covariance.iter_mut().enumerate() {
+            for (entry, &column) in row.iter_mut().zip(columns) {
+                if column != HELD {
+                    // -(V⁻¹ W) Σ.
+                    *entry = -(0..n)
+                        .map(|other| {
+                            let place = (eliminated.columns[other] as usize, column as usize);
+                            eliminated.dependence[k * n + other] * self.reduced[place]
+                        })
+                        .sum::<f64>();
+                }
+            }
+        }
+        covariance
+    }
+
     fn reduced_column(&self, (block, column): (BlockId, usize)) -> Option<usize> {
         self.structure.reduced_columns[block.0].get(column).filter(|&&c| c != HELD).map(|&c| c as usize)
     }
