@@ -10,6 +10,7 @@ mod calibration;
 mod dataset;
 mod finding;
 mod ids;
+mod image;
 mod pose_convention;
 mod scene;
 mod target;
@@ -21,6 +22,7 @@ pub use calibration::{
 pub use dataset::{CameraInfo, Dataset, Frame, Observation, View};
 pub use finding::{Finding, Severity};
 pub use ids::{CameraId, FrameId, Id, IdVec, PointId, TargetId};
+pub use image::{GrayImage, GrayPixels};
 pub use pose_convention::{
     AngleUnit, BadPoseConvention, LengthUnit, MAKERS, PoseConvention, PoseDirection, PoseRow, RotationKind,
     TurnsAbout,
