@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use boresight_camera::{Model, ParamGroup};
+use boresight_camera::{MAX_PARAMS, Model, ParamGroup};
 use boresight_data::{CameraId, Dataset, FrameId, Id, IdVec, Observation, Scene, Shape, TargetId};
 use boresight_geometry::Pose;
 use boresight_solver::{BlockId, Elimination, Parameters, Problem, Term, Values, VectorPrior};
@@ -309,6 +309,13 @@ fn check(dataset: &Dataset, scene: &Scene) -> Result<(), Error> {
     for (what, found, need) in counts {
         if found != need {
             return Err(Error::SeedMismatch { what, found, need });
+        }
+    }
+    for (camera, rig_camera) in scene.rig.cameras.enumerate() {
+        let Some(rig_camera) = rig_camera else { continue };
+        let (model, found) = (rig_camera.camera.model, rig_camera.camera.params.len());
+        if found > MAX_PARAMS {
+            return Err(Error::TooManyParams { camera, model, found, most: MAX_PARAMS });
         }
     }
     for (view_idx, view) in dataset.views.iter().enumerate() {
