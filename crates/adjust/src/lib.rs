@@ -8,6 +8,8 @@
 mod adjust;
 mod chain;
 mod error;
+mod loose;
+mod motions;
 mod options;
 mod rejection;
 mod report;

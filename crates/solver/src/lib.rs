@@ -22,7 +22,7 @@ mod step;
 mod stop;
 mod structure;
 
-pub use covariance::{Covariance, covariance};
+pub use covariance::{Covariance, LinearFunctions, covariance};
 pub use error::Error;
 pub use levenberg_marquardt::Counters;
 pub use options::{Checkpointing, Observer, Progress, SolveOptions};
