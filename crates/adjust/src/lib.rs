@@ -9,6 +9,8 @@ mod adjust;
 mod chain;
 mod error;
 mod leave_one_out;
+mod loose;
+mod motions;
 mod options;
 mod rejection;
 mod report;

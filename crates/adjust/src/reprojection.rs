@@ -191,6 +191,12 @@ impl Reprojection {
         self.loss = loss;
     }
 
+    /// Returns the number of lens parameters, that of shape coefficients, and the chain, whose blocks'
+    /// columns follow these two in the term.
+    pub(crate) fn parts(&self) -> (usize, usize, &Chain) {
+        (self.model.param_count(), self.n_shape, &self.chain)
+    }
+
     /// Returns the predicted pixel of each observation, or `None` where the lens sees none of it.
     pub fn predict(&self, values: Values<'_>) -> Vec<Option<[f64; 2]>> {
         struct Predict<'a>(&'a Reprojection, Values<'a>);

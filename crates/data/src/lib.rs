@@ -16,8 +16,8 @@ mod scene;
 mod target;
 
 pub use calibration::{
-    Calibration, CameraFit, Provenance, Regularization, Rejection, RejectionReason, SolveRecord, Uncertainty,
-    ViewFit,
+    Calibration, CameraFit, HeldOut, LooseDirection, Motions, Provenance, Regularization, Rejection,
+    RejectionReason, SolveRecord, Transfer, Uncertainty, ViewFit,
 };
 pub use dataset::{CameraInfo, Dataset, Frame, Observation, View};
 pub use finding::{Finding, Severity};

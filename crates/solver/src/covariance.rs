@@ -1,5 +1,7 @@
 //! The covariance at the optimum, from the factor of the reduced system.
 
+mod linear;
+
 use faer::Mat;
 
 use crate::Error;
@@ -9,6 +11,7 @@ use crate::problem::{BlockId, Elimination, Problem, Scratch};
 use crate::solve::threads;
 use crate::step::{StepSolver, backward, cholesky, forward};
 use crate::structure::{HELD, Structure};
+pub use linear::LinearFunctions;
 
 /// The least reciprocal condition of the scaled reduced system with which its inverse means something.
 const LEAST_RECIPROCAL_CONDITION: f64 = 1e-14;
@@ -18,6 +21,8 @@ const LEAST_RECIPROCAL_CONDITION: f64 = 1e-14;
 pub struct Covariance {
     structure: Structure,
     reduced: Mat<f64>,
+    /// The diagonal of the reduced system, by reduced column: what is known of a column if all others are known.
+    information: Vec<f64>,
     /// For each eliminated block: its own inverse, and its dependence on the reduced columns.
     eliminated: Vec<Option<Eliminated>>,
     /// The cost of the observations at the optimum.
@@ -91,6 +96,7 @@ pub fn covariance(
     }
     Ok(Covariance {
         reduced: steps.reduced.inverse(),
+        information: steps.reduced.diagonal.clone(),
         structure,
         eliminated,
         observation_cost: model.observation_cost,
@@ -117,6 +123,14 @@ impl Covariance {
             (Some(a), Some(b)) => self.reduced[(a, b)],
             _ => 0.0,
         }
+    }
+
+    /// Returns the reciprocal variance that a column would have if all other columns but those eliminated
+    /// first were known; `None` for a held column or one of an eliminated block.
+    ///
+    /// Times the column's own variance this is how much the other columns take of what is known of it.
+    pub fn information(&self, column: (BlockId, usize)) -> Option<f64> {
+        self.reduced_column(column).map(|column| self.information[column])
     }
 
     /// Returns the block and column of a reduced column, as [`Error::Singular`] names them.

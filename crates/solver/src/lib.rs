@@ -26,7 +26,7 @@ mod structure;
 pub use composite::{
     CompositeColumns, CompositeTerm, LinkMap, Links, MAX_LINKS, Weighed, linearize_composite,
 };
-pub use covariance::{Covariance, covariance};
+pub use covariance::{Covariance, LinearFunctions, covariance};
 pub use error::Error;
 pub use levenberg_marquardt::Counters;
 pub use options::{Checkpointing, Observer, Progress, SolveOptions};

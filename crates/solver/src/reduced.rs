@@ -16,7 +16,7 @@ pub(crate) struct Reduced {
     matrix: Mat<f64>,
     gradient: Vec<f64>,
     /// The diagonal of the system, which factoring overwrites.
-    diagonal: Vec<f64>,
+    pub(crate) diagonal: Vec<f64>,
     /// The inverse root of the diagonal.
     scale: Vec<f64>,
     scratch: MemBuffer,
