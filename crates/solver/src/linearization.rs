@@ -2,8 +2,9 @@
 
 use rayon::prelude::*;
 
-use crate::problem::{GramMut, Problem, Scratch, TermKind};
-use crate::structure::{CouplingRun, HELD, Structure};
+use crate::local::{Accumulated, EliminatedSums, LocalTerm};
+use crate::problem::{GramMut, Problem, Scratch, TermKind, Values};
+use crate::structure::{CouplingRun, HELD, Signature, Structure, TermPlace};
 
 /// The side of an eliminated block.
 pub(crate) const SIDE: usize = Structure::eliminated_columns();
@@ -39,7 +40,8 @@ pub(crate) struct Linearization {
 /// Sums over all terms of what falls on reduced columns.
 #[derive(Debug, Default)]
 pub(crate) struct ReducedSums {
-    /// For each signature, the square matrix of its columns and the residual; upper triangle.
+    /// For each signature, the square matrix of its columns and the residual, upper triangle; or the
+    /// entries that a local signature lists.
     pub signatures: Vec<Vec<f64>>,
     /// The gradient by reduced column.
     pub gradient: Vec<f64>,
@@ -53,11 +55,21 @@ struct Chunk {
     scratch: Scratch,
     gram: Vec<f64>,
     groups: Vec<GroupSums>,
-    /// As in [`ReducedSums`]; empty for those that none of the chunk's terms has.
+    /// As in [`ReducedSums`], or the sums of a local signature; empty for those that none of the
+    /// chunk's terms has.
     signatures: Vec<Vec<f64>>,
     observation_cost: f64,
     prior_cost: f64,
-    undefined_term: Option<usize>,
+    failure: Option<Failure>,
+}
+
+/// Why there is no model at some values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Failure {
+    /// This term is not defined there.
+    Undefined { term_idx: usize },
+    /// A term touches columns outside its support, so that another structure is needed.
+    OutsideSupport,
 }
 
 /// The model's parts that touch an eliminated block.
@@ -74,9 +86,15 @@ pub(crate) struct GroupSums {
 impl Linearization {
     /// Returns the room for a model of this structure.
     pub(crate) fn new(structure: &Structure) -> Self {
-        let signatures: Vec<Vec<f64>> =
-            structure.signatures.iter().map(|list| vec![0.0; (list.columns.len() + 1).pow(2)]).collect();
-        let largest = structure.terms.iter().map(|term| (term.n_columns + 1).pow(2)).max().unwrap_or(0);
+        let n_sums = |signature: &Signature| match &signature.local {
+            None => (signature.columns.len() + 1).pow(2),
+            Some(local) => local.n_sums,
+        };
+        let room = |term: &TermPlace| match &term.support {
+            None => (term.n_columns + 1).pow(2),
+            Some(support) => SIDE * support.len(),
+        };
+        let largest = structure.terms.iter().map(room).max().unwrap_or(0);
         let chunk = |groups: &std::ops::Range<usize>| {
             let groups = &structure.groups[groups.clone()];
             let mut chunk = Chunk {
@@ -88,19 +106,27 @@ impl Linearization {
                         ..Default::default()
                     })
                     .collect(),
-                signatures: vec![Vec::new(); signatures.len()],
+                signatures: vec![Vec::new(); structure.signatures.len()],
                 ..Default::default()
             };
             // With many signatures, most chunks see few of them.
             for place in groups.iter().flat_map(|group| &structure.terms[group.terms.clone()]) {
-                chunk.signatures[place.signature].resize(signatures[place.signature].len(), 0.0);
+                let n_sums = n_sums(&structure.signatures[place.signature]);
+                chunk.signatures[place.signature].resize(n_sums, 0.0);
             }
             chunk
         };
         Self {
             chunks: structure.chunks.iter().map(chunk).collect(),
             reduced: ReducedSums {
-                signatures,
+                signatures: structure
+                    .signatures
+                    .iter()
+                    .map(|signature| match &signature.local {
+                        None => vec![0.0; n_sums(signature)],
+                        Some(local) => vec![0.0; local.entries.len()],
+                    })
+                    .collect(),
                 gradient: vec![0.0; structure.n_reduced],
                 diagonal: vec![0.0; structure.n_reduced],
             },
@@ -114,21 +140,21 @@ impl Linearization {
         self.observation_cost + self.prior_cost
     }
 
-    /// Makes this the model at `values`, or returns the first term that is not defined there.
+    /// Makes this the model at `values`, or returns why there is none.
     pub(crate) fn evaluate(
         &mut self,
         problem: &Problem<'_>,
         structure: &Structure,
         values: &[f64],
         threads: &Threads,
-    ) -> Result<(), usize> {
+    ) -> Result<(), Failure> {
         threads.for_each(&mut self.chunks, |chunk_idx, chunk| {
             chunk.evaluate(problem, structure, structure.chunks[chunk_idx].clone(), values);
         });
-        if let Some(term_idx) = self.chunks.iter().find_map(|chunk| chunk.undefined_term) {
-            return Err(term_idx);
+        if let Some(failure) = self.chunks.iter().find_map(|chunk| chunk.failure) {
+            return Err(failure);
         }
-        self.sum(structure);
+        self.sum(problem, structure, values);
         Ok(())
     }
 
@@ -138,11 +164,21 @@ impl Linearization {
     }
 
     /// Adds up the chunks, in order.
-    fn sum(&mut self, structure: &Structure) {
+    fn sum(&mut self, problem: &Problem<'_>, structure: &Structure, values: &[f64]) {
         self.observation_cost = self.chunks.iter().map(|chunk| chunk.observation_cost).sum();
         self.prior_cost = self.chunks.iter().map(|chunk| chunk.prior_cost).sum();
         let reduced = &mut self.reduced;
-        for (idx, sum) in reduced.signatures.iter_mut().enumerate() {
+        for (idx, (sum, signature)) in reduced.signatures.iter_mut().zip(&structure.signatures).enumerate() {
+            if let Some(local) = &signature.local {
+                let term = problem.terms[local.term_idx].local();
+                let Some(term) = term else { continue };
+                let mut total = vec![0.0; local.n_sums];
+                for chunk in &self.chunks {
+                    add(&mut total, &chunk.signatures[idx]);
+                }
+                term.expand(problem.parameters.at(values), &total, sum);
+                continue;
+            }
             sum.fill(0.0);
             for chunk in &self.chunks {
                 for (sum, part) in sum.iter_mut().zip(&chunk.signatures[idx]) {
@@ -154,6 +190,17 @@ impl Linearization {
         reduced.diagonal.fill(0.0);
         for (signature, sum) in structure.signatures.iter().zip(&reduced.signatures) {
             let n = signature.columns.len() + 1;
+            if let Some(local) = &signature.local {
+                let column = |column: u32| signature.columns.get(column as usize).filter(|&&c| c != HELD);
+                for (&[a, b], entry) in local.entries.iter().zip(sum) {
+                    match (column(a.min(b)), a.max(b) as usize + 1 == n) {
+                        (Some(&column), true) => reduced.gradient[column as usize] += entry,
+                        (Some(&column), false) if a == b => reduced.diagonal[column as usize] += entry,
+                        _ => {}
+                    }
+                }
+                continue;
+            }
             for (a, &column) in signature.columns.iter().enumerate().filter(|&(_, &column)| column != HELD) {
                 reduced.gradient[column as usize] += sum[a * n + n - 1];
                 reduced.diagonal[column as usize] += sum[a * n + a];
@@ -173,7 +220,7 @@ impl Chunk {
         let values = problem.parameters.at(values);
         self.observation_cost = 0.0;
         self.prior_cost = 0.0;
-        self.undefined_term = None;
+        self.failure = None;
         self.signatures.iter_mut().for_each(|sums| sums.fill(0.0));
         for (group, sums) in structure.groups[groups].iter().zip(&mut self.groups) {
             sums.own = Default::default();
@@ -182,23 +229,40 @@ impl Chunk {
             for place in &structure.terms[group.terms.clone()] {
                 let term = problem.terms[place.term_idx];
                 let n = place.n_columns + 1;
-                let mut gram = GramMut::new(&mut self.gram, n);
-                match term.linearize(values, &mut gram, &mut self.scratch) {
-                    Some(cost) if cost.is_finite() => match term.kind() {
+                let shared = &mut self.signatures[place.signature];
+                let accumulated = match (term.local(), &place.support) {
+                    (Some(local), Some(_)) => {
+                        sums.add_local(local, place, values, (shared, &mut self.gram), &mut self.scratch)
+                    }
+                    _ => {
+                        let mut gram = GramMut::new(&mut self.gram, n);
+                        let cost = term.linearize(values, &mut gram, &mut self.scratch);
+                        cost.map_or(Accumulated::Undefined, Accumulated::Cost)
+                    }
+                };
+                match accumulated {
+                    Accumulated::Cost(cost) if cost.is_finite() => match term.kind() {
                         TermKind::Observation => self.observation_cost += cost,
                         TermKind::Prior => self.prior_cost += cost,
                     },
-                    _ => {
-                        self.undefined_term = Some(place.term_idx);
+                    Accumulated::OutsideSupport => {
+                        self.failure = Some(Failure::OutsideSupport);
                         return;
                     }
+                    _ => {
+                        self.failure = Some(Failure::Undefined { term_idx: place.term_idx });
+                        return;
+                    }
+                }
+                if place.support.is_some() {
+                    continue;
                 }
                 let gram = Local { entries: &self.gram[..n * n], n };
                 let eliminated = place.eliminated.clone().unwrap_or(n..n);
                 if group.eliminated.is_some() {
                     sums.add(&gram, &eliminated, &place.coupling);
                 }
-                gram.add_reduced(&eliminated, &mut self.signatures[place.signature]);
+                gram.add_reduced(&eliminated, shared);
             }
             if let Some(block) = group.eliminated {
                 sums.finish(&problem.parameters.blocks[block].held);
@@ -260,6 +324,34 @@ impl GroupSums {
                 }
             }
         }
+    }
+
+    /// Adds a term with local support to these sums and to the `shared` ones.
+    fn add_local(
+        &mut self,
+        term: &dyn LocalTerm,
+        place: &TermPlace,
+        values: Values<'_>,
+        (shared, room): (&mut [f64], &mut [f64]),
+        scratch: &mut Scratch,
+    ) -> Accumulated {
+        let support = place.support.as_deref().unwrap_or_default();
+        let n = support.len();
+        let coupling = &mut room[..SIDE * n];
+        coupling.fill(0.0);
+        let (mut own, mut gradient) = ([[0.0; SIDE]; SIDE], [0.0; SIDE]);
+        let mut eliminated = EliminatedSums { own: &mut own, gradient: &mut gradient, coupling };
+        let accumulated = term.accumulate(values, support, shared, &mut eliminated, scratch);
+        let n_coupled = self.coupling.len() / SIDE;
+        for k in 0..SIDE {
+            add(&mut self.own[k], &own[k]);
+            for run in &place.coupling {
+                let first = k * n_coupled + run.place;
+                add(&mut self.coupling[first..first + run.length], &room[k * n + run.column..(k + 1) * n]);
+            }
+        }
+        add(&mut self.gradient, &gradient);
+        accumulated
     }
 
     /// Completes the lower triangle, and leaves nothing of held columns but a one on the diagonal.

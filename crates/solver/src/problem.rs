@@ -5,6 +5,7 @@ use std::ops::Range;
 use boresight_geometry::{Pose, UnitQuaternion, Vector3, Vector6, nalgebra::Quaternion};
 
 use crate::Error;
+use crate::local::LocalTerm;
 
 /// A parameter block of a problem.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -239,6 +240,11 @@ pub trait Term: Send + Sync {
     /// The cost is the sum of squared residuals; with a robust loss it is the loss, and J and r are
     /// scaled by the root of its weight. `scratch` is the term's to use and keeps its size.
     fn linearize(&self, values: Values<'_>, gram: &mut GramMut<'_>, scratch: &mut Scratch) -> Option<f64>;
+
+    /// Returns the term as one that touches few of its columns, if it is; it is then evaluated as that.
+    fn local(&self) -> Option<&dyn LocalTerm> {
+        None
+    }
 }
 
 /// The square matrix that a term writes to: its columns in order, then the residual.
