@@ -3,7 +3,7 @@
 use crate::Error;
 use crate::linearization::{GroupSums, Linearization, SIDE};
 use crate::options::SolveOptions;
-use crate::problem::{BlockId, Elimination, Problem};
+use crate::problem::{BlockId, Elimination, Problem, Scratch};
 use crate::reduced::Inverse;
 use crate::solve::threads;
 use crate::step::{StepSolver, backward, cholesky, forward};
@@ -52,7 +52,7 @@ fn covariance_of(
     let mut model = Linearization::new(&structure);
     let rows: usize = problem.terms.iter().map(|term| term.row_count()).sum();
     let threads = threads(rows, options)?;
-    model.evaluate(problem, &structure, values, &threads)?;
+    model.evaluate(problem, &structure, values, &threads, &mut Scratch::default())?;
     for (group, sums) in structure.groups.iter().zip(model.groups()) {
         if let Some(block) = group.eliminated
             && cholesky(&sums.own).is_none()

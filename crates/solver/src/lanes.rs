@@ -3,10 +3,22 @@
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use boresight_geometry::Scalar;
-use pulp::Simd;
+use pulp::{Arch, Simd, WithSimd};
 
 /// The widest register of any instruction set that `pulp` dispatches to, in `f64`s.
 pub const MAX_LANES: usize = 8;
+
+/// Returns the number of `f64`s in a register of this machine, as `pulp` dispatches.
+pub fn count() -> usize {
+    struct Count;
+    impl WithSimd for Count {
+        type Output = usize;
+        fn with_simd<S: Simd>(self, _: S) -> usize {
+            S::F64_LANES
+        }
+    }
+    Arch::new().dispatch(Count)
+}
 
 /// One SIMD register of `f64`s, with the token that proves the machine has such registers.
 ///
@@ -128,8 +140,8 @@ impl<S: Simd> Scalar for Lanes<S> {
     #[inline(always)]
     fn all_above(self, limit: f64) -> bool {
         let above = self.simd.greater_than_f64s(self.value, self.simd.splat_f64s(limit));
-        let (one, zero) = (self.simd.splat_f64s(1.0), self.simd.splat_f64s(0.0));
-        self.simd.reduce_min_f64s(self.simd.select_f64s(above, one, zero)) > 0.5
+        let all = self.simd.less_than_f64s(self.simd.splat_f64s(0.0), self.simd.splat_f64s(1.0));
+        self.simd.first_true_m64s(self.simd.xor_m64s(above, all)) >= Self::COUNT
     }
 
     #[inline(always)]
@@ -141,8 +153,6 @@ impl<S: Simd> Scalar for Lanes<S> {
 
 #[cfg(test)]
 mod tests {
-    use pulp::{Arch, WithSimd};
-
     use super::*;
 
     /// Checks that lanes compute what `f64` computes, one by one.

@@ -7,6 +7,7 @@
 //! Architecture invariant: the solver does not know what a camera is.
 
 mod checkpoint;
+mod composite;
 mod covariance;
 mod error;
 pub mod gram;
@@ -27,6 +28,9 @@ mod step;
 mod stop;
 mod structure;
 
+pub use composite::{
+    CompositeColumns, CompositeTerm, LinkMap, Links, MAX_LINKS, Weighed, linearize_composite,
+};
 pub use covariance::{Covariance, covariance};
 pub use error::Error;
 pub use levenberg_marquardt::Counters;

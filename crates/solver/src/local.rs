@@ -4,24 +4,26 @@
 //! block, it adds to sums that all terms over the same reduced blocks share and whose meaning is
 //! theirs; once all are added, one of them tells which entries these sums make up.
 
-use crate::problem::{Scratch, Values};
+use crate::problem::{BlockId, Scratch, Values};
 use crate::structure::Structure;
 
 /// The side of an eliminated block.
 const SIDE: usize = Structure::eliminated_columns();
 
-/// A term with local support, over any number of reduced blocks and one that is eliminated first.
+/// A term with local support, over any number of reduced blocks and at most one that is eliminated first.
 ///
 /// Its columns are those of its reduced blocks, in their order; the residual comes behind them.
 pub trait LocalTerm: Send + Sync {
     /// Returns the columns that the term may touch at values near `values`, in increasing order.
+    /// Only those matter that it touches together with a block that is eliminated first.
     fn support(&self, values: Values<'_>) -> Vec<u32>;
 
     /// Returns the number of shared sums.
     fn sum_count(&self) -> usize;
 
     /// Returns the pairs of columns that the shared sums say something of, each once; those with the
-    /// residual are the gradient. Pairs of columns that no term's support has together are ignored.
+    /// residual are the gradient. Where there is an eliminated block, pairs of columns that no term's
+    /// support has together are ignored.
     fn entries(&self) -> Vec<[u32; 2]>;
 
     /// Writes what the shared sums at `values` mean, pair by pair of [`entries`](Self::entries).
@@ -52,6 +54,8 @@ pub enum Accumulated {
 /// `[J r]ᵀ [J r]` of one term, as far as it touches the eliminated block. Everything is zero before.
 #[derive(Debug)]
 pub struct EliminatedSums<'a> {
+    /// The block; `None` for a term that sees none, whose sums here are not used.
+    pub block: Option<BlockId>,
     /// The block's own matrix; the upper triangle is read.
     pub own: &'a mut [[f64; SIDE]; SIDE],
     /// The gradient.

@@ -2,10 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::Arc;
 
+use crate::composite::CompositeColumns;
 use crate::ordering::{Cliques, Graph, Run};
 use crate::pattern::Pattern;
-use crate::problem::{Elimination, POSE_COLUMNS, Problem};
+use crate::problem::{Elimination, POSE_COLUMNS, Problem, Term};
 
 /// Marks a column that is held fixed.
 pub(crate) const HELD: u32 = u32::MAX;
@@ -61,6 +63,8 @@ pub(crate) struct Structure {
 pub(crate) struct Signature {
     /// For each column of the list's blocks, the reduced column or `HELD`.
     pub columns: Vec<u32>,
+    /// How terms lie that have a composite pose, if they do.
+    pub composite: Option<CompositePlace>,
     /// What sums mean that are no matrix.
     pub local: Option<LocalSignature>,
 }
@@ -73,6 +77,24 @@ pub(crate) struct LocalSignature {
     pub n_sums: usize,
     /// Pairs of the list's columns, the residual behind the last.
     pub entries: Vec<[u32; 2]>,
+    /// Whether its terms see an eliminated block.
+    is_eliminated: bool,
+}
+
+/// Where the columns of composite terms of one kind are.
+#[derive(Clone, Debug)]
+pub(crate) struct CompositePlace {
+    pub columns: Arc<CompositeColumns>,
+    /// The number of all columns of a term.
+    pub n_columns: usize,
+    /// The first column of the eliminated link.
+    pub eliminated: Option<usize>,
+}
+
+impl CompositePlace {
+    fn is_like(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.columns, &other.columns) && self.eliminated == other.eliminated
+    }
 }
 
 /// Where a term's columns belong.
@@ -193,21 +215,34 @@ impl Structure {
         let blocks = &problem.parameters.blocks;
         let mut of_block: BTreeMap<usize, Vec<u32>> = BTreeMap::new();
         let mut cliques = Cliques::new();
+        let all_columns = |term: &&dyn Term| -> Vec<u32> {
+            let columns = term.blocks().iter().flat_map(|block| &self.reduced_columns[block.0]);
+            columns.copied().collect()
+        };
         for (term, support) in problem.terms.iter().zip(supports) {
             let is_first = |block: usize| blocks[block].elimination == Elimination::First;
-            let all = term.blocks().iter().flat_map(|block| &self.reduced_columns[block.0]).copied();
             let touched: Vec<u32> = match support {
-                None => all.filter(|&column| column != HELD).collect(),
+                None => all_columns(term).into_iter().filter(|&column| column != HELD).collect(),
                 Some(support) => {
-                    let all: Vec<u32> = all.collect();
+                    let all = all_columns(term);
                     support.iter().map(|&k| all[k as usize]).filter(|&column| column != HELD).collect()
                 }
             };
             match term.blocks().iter().find(|block| is_first(block.0)) {
                 Some(block) => of_block.entry(block.0).or_default().extend(touched),
-                None => {
-                    cliques.insert(sorted_runs(touched));
-                }
+                None => match term.local() {
+                    None => {
+                        cliques.insert(sorted_runs(touched));
+                    }
+                    // Each of its pairs of columns, but not all of them together.
+                    Some(local) => {
+                        let all = all_columns(term);
+                        let column = |column: u32| all.get(column as usize).filter(|&&c| c != HELD);
+                        let pairs = local.entries().into_iter().filter(|[a, b]| a != b);
+                        let pairs = pairs.filter_map(|[a, b]| Some(vec![*column(a)?, *column(b)?]));
+                        cliques.extend(pairs.map(sorted_runs));
+                    }
+                },
             }
         }
         cliques.extend(of_block.into_values().map(sorted_runs));
@@ -244,7 +279,7 @@ impl Structure {
                 None => members.push((None, vec![term_idx])),
             }
         }
-        let mut signature_of: BTreeMap<(Vec<usize>, bool), usize> = BTreeMap::new();
+        let mut signatures_of: BTreeMap<Vec<usize>, Vec<usize>> = BTreeMap::new();
         for (eliminated, term_idxs) in members {
             let reduced_blocks = |term_idx: usize| {
                 problem.terms[term_idx]
@@ -276,15 +311,6 @@ impl Structure {
                 let signature_columns: Vec<u32> =
                     list.iter().flat_map(|&block| &self.reduced_columns[block]).copied().collect();
                 let support = supports[term_idx].take();
-                let signature = *signature_of.entry((list, support.is_some())).or_insert_with(|| {
-                    let local = problem.terms[term_idx].local().map(|local| LocalSignature {
-                        term_idx,
-                        n_sums: local.sum_count(),
-                        entries: local.entries(),
-                    });
-                    self.signatures.push(Signature { columns: signature_columns, local });
-                    self.signatures.len() - 1
-                });
                 let mut coupling: Vec<CouplingRun> = Vec::new();
                 let mut eliminated_columns = None;
                 let mut n_columns = 0;
@@ -302,11 +328,41 @@ impl Structure {
                     n_columns = end;
                 }
                 for (k, &column) in support.iter().flatten().enumerate() {
-                    let column = self.signatures[signature].columns[column as usize];
+                    let column = signature_columns[column as usize];
                     if let Ok(place) = columns.binary_search(&column) {
                         extend(&mut coupling, k, place);
                     }
                 }
+                let composite = problem.terms[term_idx].composite().filter(|_| support.is_none());
+                let composite = composite.map(|term| CompositePlace {
+                    columns: term.columns().clone(),
+                    n_columns,
+                    eliminated: eliminated_columns.as_ref().map(|columns| columns.start),
+                });
+                let known = signatures_of.entry(list).or_default();
+                let found = known.iter().copied().find(|&known| {
+                    let Signature { composite: known, local, .. } = &self.signatures[known];
+                    match (known, &composite) {
+                        (Some(known), Some(composite)) => known.is_like(composite),
+                        (None, None) => {
+                            let is_eliminated = eliminated.is_some();
+                            local.as_ref().map(|local| local.is_eliminated)
+                                == support.as_ref().map(|_| is_eliminated)
+                        }
+                        _ => false,
+                    }
+                });
+                let signature = found.unwrap_or_else(|| {
+                    known.push(self.signatures.len());
+                    let local = problem.terms[term_idx].local().map(|local| LocalSignature {
+                        term_idx,
+                        n_sums: local.sum_count(),
+                        entries: local.entries(),
+                        is_eliminated: eliminated.is_some(),
+                    });
+                    self.signatures.push(Signature { columns: signature_columns, composite, local });
+                    self.signatures.len() - 1
+                });
                 self.terms.push(TermPlace {
                     term_idx,
                     signature,

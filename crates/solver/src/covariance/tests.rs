@@ -173,7 +173,7 @@ fn steps(problem: &Problem<'_>, rule: SparseRule, threads: &Threads) -> Vec<Vec<
     let mut steps = StepSolver::new(&structure);
     let mut all = Vec::new();
     for damping in [1e-2, 1e-4, 0.0, 0.0] {
-        model.evaluate(problem, &structure, &values, threads).unwrap();
+        model.evaluate(problem, &structure, &values, threads, &mut Scratch::default()).unwrap();
         assert!(steps.factor(&structure, &model, damping, threads));
         steps.solve(problem, &structure, &model, damping);
         let mut moved = Vec::new();
