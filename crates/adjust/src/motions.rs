@@ -83,18 +83,10 @@ fn add_views(
         let camera = dataset.views[*view_idx].camera;
         let Some((_, sums)) = sums.iter_mut().find(|(id, _)| id.index() == camera.index()) else { continue };
         let (n_lens, n_shape, chain) = term.parts();
-        let mut first_adjoint = None;
-        let mut n_links = 0;
-        chain.each_adjoint(values, |adjoint| {
-            if n_links == 0 {
-                first_adjoint = adjoint.copied();
-            }
-            n_links += 1;
-        });
-        if n_links == 0 {
-            // Nothing of the view can move.
-            continue;
-        }
+        chain.linearize(values, &mut scratch.links);
+        // Without a first link nothing of the view can move.
+        let n_links = scratch.links.maps().len();
+        let Some(&first_map) = scratch.links.maps().first() else { continue };
         let first_pose = n_lens + n_shape;
         let n = first_pose + 6 * n_links + 1;
         entries.resize(n * n, 0.0);
@@ -105,7 +97,7 @@ fn add_views(
         // Only the upper triangle is there, and of a pose's own block that alone is right.
         let entry = |a: usize, b: usize| entries[a.min(b) * n + a.max(b)];
         // The first link's columns are the motion's times its adjoint.
-        let by_motion = match first_adjoint.map(|adjoint| adjoint.try_inverse()) {
+        let by_motion = match first_map.map(|map| Matrix6::from(map.matrix()).transpose().try_inverse()) {
             None => Matrix6::identity(),
             Some(Some(inverse)) => inverse.transpose(),
             Some(None) => continue,

@@ -9,7 +9,7 @@ use argmin::core::{IterState, KV, Solver, State as _, TerminationReason};
 use argmin::kv;
 
 use crate::Error;
-use crate::linearization::{Linearization, Threads};
+use crate::linearization::{Failure, Linearization, Threads};
 use crate::options::SolveOptions;
 use crate::problem::{Problem, Scratch};
 use crate::step::StepSolver;
@@ -73,7 +73,7 @@ impl<'a> LevenbergMarquardt<'a> {
         threads: Threads,
         options: &'a SolveOptions,
     ) -> Result<Self, Error> {
-        let structure = Structure::new(problem);
+        let structure = Structure::new(problem, values);
         let mut search = Self {
             options,
             threads,
@@ -95,9 +95,17 @@ impl<'a> LevenbergMarquardt<'a> {
     /// Evaluates the model at `values`, from where the next step is taken.
     pub(crate) fn move_to(&mut self, problem: &Problem<'_>, values: &[f64]) -> Result<(), Error> {
         self.counters.evaluations += 1;
-        self.model
-            .evaluate(problem, &self.structure, values, &self.threads, &mut self.scratch)
-            .map_err(|term_idx| Error::UndefinedStart { term_idx })
+        let Self { structure, threads, model, scratch, .. } = self;
+        match model.evaluate(problem, structure, values, threads, scratch) {
+            Err(Failure::OutsideSupport) => {
+                *structure = Structure::new(problem, values);
+                *model = Linearization::new(structure);
+                self.trial = Linearization::new(structure);
+                self.steps = StepSolver::new(structure);
+                Ok(model.evaluate(problem, structure, values, threads, scratch)?)
+            }
+            outcome => Ok(outcome?),
+        }
     }
 
     /// Returns the cost of the model.
@@ -136,14 +144,33 @@ impl<'a> LevenbergMarquardt<'a> {
                     return Err(Stop::PredictedDecrease { predicted, below });
                 }
                 self.counters.evaluations += 1;
-                if trial.evaluate(problem, structure, trial_values, threads, scratch).is_ok() {
-                    let decrease = cost - trial.cost();
+                let outcome = trial.evaluate(problem, structure, trial_values, threads, scratch);
+                // Where terms leave their support, another structure fits.
+                let other = (outcome == Err(Failure::OutsideSupport)).then(|| {
+                    let other = Structure::new(problem, trial_values);
+                    let mut model = Linearization::new(&other);
+                    let outcome = model.evaluate(problem, &other, trial_values, threads, scratch);
+                    (other, model, outcome)
+                });
+                let trial_cost = match &other {
+                    None => outcome.map(|()| trial.cost()),
+                    Some((_, model, outcome)) => outcome.map(|()| model.cost()),
+                };
+                if let Ok(trial_cost) = trial_cost {
+                    let decrease = cost - trial_cost;
                     if decrease > 0.0 {
                         let gain = decrease / predicted;
                         let shrink = (1.0 - (2.0 * gain - 1.0).powi(3)).max(LEAST_SHRINK);
                         self.damping = (self.damping * shrink).max(LEAST_DAMPING);
                         self.growth = 2.0;
-                        std::mem::swap(model, trial);
+                        match other {
+                            None => std::mem::swap(model, trial),
+                            Some((other, other_model, _)) => {
+                                *trial = Linearization::new(&other);
+                                *steps = StepSolver::new(&other);
+                                (*structure, *model) = (other, other_model);
+                            }
+                        }
                         std::mem::swap(values, trial_values);
                         return Ok(predicted);
                     }

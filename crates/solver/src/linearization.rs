@@ -5,7 +5,8 @@ use rayon::prelude::*;
 
 use crate::composite::{AddComposite, CompositeSums, CompositeTerm};
 use crate::lanes::MAX_LANES;
-use crate::problem::{GramMut, Problem, Scratch, Term, TermKind, Values};
+use crate::local::{Accumulated, EliminatedSums, LocalTerm};
+use crate::problem::{BlockId, GramMut, Problem, Scratch, Term, TermKind, Values};
 use crate::structure::{CouplingRun, HELD, Signature, Structure, TermPlace};
 
 /// The side of an eliminated block.
@@ -58,7 +59,8 @@ pub(crate) struct Linearization {
 /// Sums over all terms of what falls on reduced columns.
 #[derive(Debug, Default)]
 pub(crate) struct ReducedSums {
-    /// For each signature, the square matrix of its columns and the residual; upper triangle.
+    /// For each signature, the square matrix of its columns and the residual, upper triangle; or the
+    /// entries that a local signature lists.
     pub signatures: Vec<Vec<f64>>,
     /// The gradient by reduced column.
     pub gradient: Vec<f64>,
@@ -76,7 +78,16 @@ struct Chunk {
     signatures: Vec<SignatureSums>,
     observation_cost: f64,
     prior_cost: f64,
-    undefined_term: Option<usize>,
+    failure: Option<Failure>,
+}
+
+/// Why there is no model at some values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Failure {
+    /// This term is not defined there.
+    Undefined { term_idx: usize },
+    /// A term touches columns outside its support, so that another structure is needed.
+    OutsideSupport,
 }
 
 /// What one chunk adds to a signature's sums.
@@ -86,6 +97,8 @@ enum SignatureSums {
     Plain(Vec<f64>),
     /// Over composite terms.
     Composite(CompositeSums),
+    /// Over terms with local support, who know what they mean.
+    Local(Vec<f64>),
 }
 
 /// The model's parts that touch an eliminated block.
@@ -102,11 +115,10 @@ pub(crate) struct GroupSums {
 impl Linearization {
     /// Returns the room for a model of this structure.
     pub(crate) fn new(structure: &Structure) -> Self {
-        let signatures: Vec<Vec<f64>> =
-            structure.signatures.iter().map(|list| vec![0.0; (list.columns.len() + 1).pow(2)]).collect();
-        let empty = |signature: &Signature| match &signature.composite {
-            None => SignatureSums::Plain(Vec::new()),
-            Some(_) => SignatureSums::Composite(CompositeSums::default()),
+        let empty = |signature: &Signature| match (&signature.composite, &signature.local) {
+            (Some(_), _) => SignatureSums::Composite(CompositeSums::default()),
+            (None, Some(_)) => SignatureSums::Local(Vec::new()),
+            (None, None) => SignatureSums::Plain(Vec::new()),
         };
         let chunk = |groups: &std::ops::Range<usize>| {
             let groups = &structure.groups[groups.clone()];
@@ -124,17 +136,23 @@ impl Linearization {
             // With many signatures, most chunks see few of them.
             for place in groups.iter().flat_map(|group| &structure.terms[group.terms.clone()]) {
                 let n = place.n_columns + 1;
+                let signature = &structure.signatures[place.signature];
                 match &mut chunk.signatures[place.signature] {
                     SignatureSums::Plain(sums) => {
-                        sums.resize(signatures[place.signature].len(), 0.0);
+                        sums.resize((signature.columns.len() + 1).pow(2), 0.0);
                         chunk.gram.resize(chunk.gram.len().max(n * n), 0.0);
                     }
                     SignatureSums::Composite(sums) if sums.is_empty() => {
-                        if let Some(place) = &structure.signatures[place.signature].composite {
+                        if let Some(place) = &signature.composite {
                             *sums = CompositeSums::new(&place.columns, place.n_columns);
                         }
                     }
                     SignatureSums::Composite(_) => {}
+                    SignatureSums::Local(sums) => {
+                        sums.resize(signature.local.as_ref().map_or(0, |local| local.n_sums), 0.0);
+                        let room = SIDE * place.support.as_ref().map_or(0, Vec::len);
+                        chunk.gram.resize(chunk.gram.len().max(room), 0.0);
+                    }
                 }
             }
             chunk
@@ -142,7 +160,14 @@ impl Linearization {
         Self {
             chunks: structure.chunks.iter().map(chunk).collect(),
             reduced: ReducedSums {
-                signatures,
+                signatures: structure
+                    .signatures
+                    .iter()
+                    .map(|signature| match &signature.local {
+                        None => vec![0.0; (signature.columns.len() + 1).pow(2)],
+                        Some(local) => vec![0.0; local.entries.len()],
+                    })
+                    .collect(),
                 gradient: vec![0.0; structure.n_reduced],
                 diagonal: vec![0.0; structure.n_reduced],
             },
@@ -156,7 +181,7 @@ impl Linearization {
         self.observation_cost + self.prior_cost
     }
 
-    /// Makes this the model at `values`, or returns the first term that is not defined there.
+    /// Makes this the model at `values`, or returns why there is none.
     pub(crate) fn evaluate(
         &mut self,
         problem: &Problem<'_>,
@@ -164,15 +189,15 @@ impl Linearization {
         values: &[f64],
         threads: &Threads,
         scratch: &mut Scratch,
-    ) -> Result<(), usize> {
+    ) -> Result<(), Failure> {
         let arch = Arch::new();
         threads.for_each_with(scratch, &mut self.chunks, |scratch, chunk_idx, chunk| {
             chunk.evaluate(arch, problem, structure, structure.chunks[chunk_idx].clone(), values, scratch);
         });
-        if let Some(term_idx) = self.chunks.iter().find_map(|chunk| chunk.undefined_term) {
-            return Err(term_idx);
+        if let Some(failure) = self.chunks.iter().find_map(|chunk| chunk.failure) {
+            return Err(failure);
         }
-        self.sum(structure);
+        self.sum(problem, structure, values);
         Ok(())
     }
 
@@ -182,15 +207,28 @@ impl Linearization {
     }
 
     /// Adds up the chunks, in order.
-    fn sum(&mut self, structure: &Structure) {
+    fn sum(&mut self, problem: &Problem<'_>, structure: &Structure, values: &[f64]) {
         self.observation_cost = self.chunks.iter().map(|chunk| chunk.observation_cost).sum();
         self.prior_cost = self.chunks.iter().map(|chunk| chunk.prior_cost).sum();
         let reduced = &mut self.reduced;
-        for (idx, sum) in reduced.signatures.iter_mut().enumerate() {
+        for (idx, (sum, signature)) in reduced.signatures.iter_mut().zip(&structure.signatures).enumerate() {
+            if let Some(local) = &signature.local {
+                let term = problem.terms[local.term_idx].local();
+                let Some(term) = term else { continue };
+                let mut total = vec![0.0; local.n_sums];
+                for chunk in &self.chunks {
+                    if let SignatureSums::Local(part) = &chunk.signatures[idx] {
+                        add(&mut total, part);
+                    }
+                }
+                term.expand(problem.parameters.at(values), &total, sum);
+                continue;
+            }
             sum.fill(0.0);
             for chunk in &self.chunks {
                 match &chunk.signatures[idx] {
                     SignatureSums::Plain(part) => add(sum, part),
+                    SignatureSums::Local(_) => {}
                     SignatureSums::Composite(part) if part.is_empty() => {}
                     SignatureSums::Composite(part) => {
                         if let Some(place) = &structure.signatures[idx].composite {
@@ -204,6 +242,17 @@ impl Linearization {
         reduced.diagonal.fill(0.0);
         for (signature, sum) in structure.signatures.iter().zip(&reduced.signatures) {
             let n = signature.columns.len() + 1;
+            if let Some(local) = &signature.local {
+                let column = |column: u32| signature.columns.get(column as usize).filter(|&&c| c != HELD);
+                for (&[a, b], entry) in local.entries.iter().zip(sum) {
+                    match (column(a.min(b)), a.max(b) as usize + 1 == n) {
+                        (Some(&column), true) => reduced.gradient[column as usize] += entry,
+                        (Some(&column), false) if a == b => reduced.diagonal[column as usize] += entry,
+                        _ => {}
+                    }
+                }
+                continue;
+            }
             for (a, &column) in signature.columns.iter().enumerate().filter(|&(_, &column)| column != HELD) {
                 reduced.gradient[column as usize] += sum[a * n + n - 1];
                 reduced.diagonal[column as usize] += sum[a * n + a];
@@ -225,21 +274,34 @@ impl Chunk {
         let values = problem.parameters.at(values);
         self.observation_cost = 0.0;
         self.prior_cost = 0.0;
-        self.undefined_term = None;
+        self.failure = None;
         self.signatures.iter_mut().for_each(SignatureSums::clear);
         for (group_idx, group) in structure.groups[groups].iter().enumerate() {
             self.groups[group_idx].clear();
             for place in &structure.terms[group.terms.clone()] {
                 let term = problem.terms[place.term_idx];
-                let cost = match term.composite() {
-                    Some(term) => self.add_composite(arch, term, place, group_idx, values, scratch),
-                    None => self.add_plain(term, place, group_idx, values, scratch),
+                let defined = |cost: Option<f64>| cost.map_or(Accumulated::Undefined, Accumulated::Cost);
+                let accumulated = match (term.local(), term.composite()) {
+                    (Some(local), _) => {
+                        let group = (group_idx, group.eliminated.map(BlockId));
+                        self.add_local(local, place, group, values, scratch)
+                    }
+                    (None, Some(term)) => {
+                        defined(self.add_composite(arch, term, place, group_idx, values, scratch))
+                    }
+                    (None, None) => defined(self.add_plain(term, place, group_idx, values, scratch)),
                 };
-                match (cost, term.kind()) {
-                    (Some(cost), TermKind::Observation) if cost.is_finite() => self.observation_cost += cost,
-                    (Some(cost), TermKind::Prior) if cost.is_finite() => self.prior_cost += cost,
+                match (accumulated, term.kind()) {
+                    (Accumulated::Cost(cost), TermKind::Observation) if cost.is_finite() => {
+                        self.observation_cost += cost;
+                    }
+                    (Accumulated::Cost(cost), TermKind::Prior) if cost.is_finite() => self.prior_cost += cost,
+                    (Accumulated::OutsideSupport, _) => {
+                        self.failure = Some(Failure::OutsideSupport);
+                        return;
+                    }
                     _ => {
-                        self.undefined_term = Some(place.term_idx);
+                        self.failure = Some(Failure::Undefined { term_idx: place.term_idx });
                         return;
                     }
                 }
@@ -272,6 +334,41 @@ impl Chunk {
         Some(cost)
     }
 
+    /// The same for a term with local support.
+    fn add_local(
+        &mut self,
+        term: &dyn LocalTerm,
+        place: &TermPlace,
+        (group_idx, block): (usize, Option<BlockId>),
+        values: Values<'_>,
+        scratch: &mut Scratch,
+    ) -> Accumulated {
+        let support = place.support.as_deref().unwrap_or_default();
+        let SignatureSums::Local(shared) = &mut self.signatures[place.signature] else {
+            return Accumulated::Undefined;
+        };
+        let n = support.len();
+        let coupling = &mut self.gram[..SIDE * n];
+        coupling.fill(0.0);
+        let (mut own, mut gradient) = ([[0.0; SIDE]; SIDE], [0.0; SIDE]);
+        let mut eliminated = EliminatedSums { block, own: &mut own, gradient: &mut gradient, coupling };
+        let accumulated = term.accumulate(values, support, shared, &mut eliminated, scratch);
+        if place.eliminated.is_some() {
+            let group = &mut self.groups[group_idx];
+            let n_coupled = group.coupling.len() / SIDE;
+            add(&mut group.gradient, &gradient);
+            for (k, own) in own.iter().enumerate() {
+                add(&mut group.own[k], own);
+                let row = &self.gram[k * n..(k + 1) * n];
+                for run in &place.coupling {
+                    let first = k * n_coupled + run.place;
+                    add(&mut group.coupling[first..first + run.length], &row[run.column..]);
+                }
+            }
+        }
+        accumulated
+    }
+
     /// The same for a term with a composite pose.
     fn add_composite(
         &mut self,
@@ -302,7 +399,7 @@ impl Chunk {
 impl SignatureSums {
     fn clear(&mut self) {
         match self {
-            Self::Plain(sums) => sums.fill(0.0),
+            Self::Plain(sums) | Self::Local(sums) => sums.fill(0.0),
             Self::Composite(sums) => sums.clear(),
         }
     }

@@ -7,6 +7,7 @@ use boresight_geometry::{Pose, UnitQuaternion, Vector3, Vector6, nalgebra::Quate
 use crate::Error;
 use crate::composite::{CompositeTerm, Links};
 use crate::gram::PairGram;
+use crate::local::LocalTerm;
 
 /// A parameter block of a problem.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -245,6 +246,11 @@ pub trait Term: Send + Sync {
     /// Returns the term as one whose poses act through one composite pose, for which there is a shorter
     /// way than [`linearize`](Self::linearize), if it is such a term.
     fn composite(&self) -> Option<&dyn CompositeTerm> {
+        None
+    }
+
+    /// Returns the term as one that touches few of its columns, if it is; it is then evaluated as that.
+    fn local(&self) -> Option<&dyn LocalTerm> {
         None
     }
 }

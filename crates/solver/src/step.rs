@@ -5,6 +5,7 @@ use pulp::{Arch, Simd, WithSimd};
 use crate::linearization::{GroupSums, Linearization, SIDE, Threads};
 use crate::problem::Problem;
 use crate::reduced::Reduced;
+use crate::scatter::add_outer_sparse;
 use crate::structure::{Group, HELD, Structure};
 
 /// The room in which steps are worked out, and the last one.
@@ -35,7 +36,10 @@ impl StepSolver {
     pub(crate) fn new(structure: &Structure) -> Self {
         let n = structure.n_reduced;
         let partial_sum = |_| PartialSum {
-            matrix: vec![0.0; n * row_stride(n)],
+            matrix: vec![
+                0.0;
+                structure.sparse.as_ref().map_or(n * row_stride(n), |p| p.n_entries() + COLUMNS)
+            ],
             gradient: vec![0.0; row_stride(n)],
             solved: Vec::new(),
             failed: false,
@@ -43,7 +47,7 @@ impl StepSolver {
         Self {
             arch: Arch::new(),
             partial_sums: structure.schur_chunks.iter().map(partial_sum).collect(),
-            reduced: Reduced::new(n),
+            reduced: Reduced::new(structure),
             step: vec![0.0; structure.n_columns],
             predicted_decrease: 0.0,
         }
@@ -61,8 +65,10 @@ impl StepSolver {
         let arch = self.arch;
         threads.for_each(&mut self.partial_sums, |idx, sum| {
             let range = structure.schur_chunks[idx].clone();
+            let places = structure.sparse.as_ref().map(|pattern| &pattern.groups[range.clone()]);
             let (groups, sums) = (&structure.groups[range.clone()], &groups[range]);
             arch.dispatch(Eliminate {
+                places,
                 stride: row_stride(structure.n_reduced),
                 groups,
                 sums,
@@ -186,6 +192,8 @@ pub(crate) fn backward(lower: &Triangle, x: &mut [f64; SIDE]) {
 
 /// Eliminates the blocks of some groups: adds `Yᵀ Y` with `Y = L⁻¹ W`, and `Yᵀ L⁻¹ g`.
 struct Eliminate<'a> {
+    /// For each group, where its outer product belongs in a sparse system.
+    places: Option<&'a [Vec<u32>]>,
     stride: usize,
     groups: &'a [Group],
     sums: &'a [&'a GroupSums],
@@ -198,13 +206,13 @@ impl WithSimd for Eliminate<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { stride, groups, sums, damping, into } = self;
+        let Self { places, stride, groups, sums, damping, into } = self;
         into.failed = false;
         into.matrix.fill(0.0);
         into.gradient.fill(0.0);
         let mut waiting: Option<&Group> = None;
         into.solved.clear();
-        for (group, sums) in groups.iter().zip(sums) {
+        for (idx, (group, sums)) in groups.iter().zip(sums).enumerate() {
             if group.eliminated.is_none() {
                 continue;
             }
@@ -226,6 +234,11 @@ impl WithSimd for Eliminate<'_> {
             let before = into.solved.len();
             solve_coupling(simd, group, sums, &lower, &mut into.solved);
             add_gradient(simd, group, &into.solved[before..], &gradient, &mut into.gradient);
+            if let Some(places) = places {
+                add_outer_sparse(simd, group, &places[idx], &into.solved, &mut into.matrix);
+                into.solved.clear();
+                waiting = None;
+            }
         }
         if let Some(first) = waiting {
             add_outer(simd, stride, first, &into.solved, &mut into.matrix);
@@ -244,10 +257,10 @@ impl Group {
 }
 
 /// Columns of a coupling are taken eight at a time, whatever the machine's registers hold.
-const COLUMNS: usize = 8;
+pub(crate) const COLUMNS: usize = 8;
 
 /// The numbers of eight columns: `SIDE` rows of them.
-const PANEL: usize = SIDE * COLUMNS;
+pub(crate) const PANEL: usize = SIDE * COLUMNS;
 
 /// Appends `Y = L⁻¹ W` in panels: each run of columns begins a new one, and its last is filled up with zeros.
 #[inline(always)]

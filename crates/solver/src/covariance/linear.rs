@@ -76,12 +76,8 @@ impl Covariance {
             }
         }
         let mut spread = vec![0.0; n_functions * n];
-        for column in 0..n {
-            let covariances = self.reduced.col_as_slice(column);
-            for row in 0..n_functions {
-                let weights = &dependence[row * n..(row + 1) * n];
-                spread[row * n + column] = dot(weights, covariances);
-            }
+        for (spread, weights) in spread.chunks_exact_mut(n.max(1)).zip(dependence.chunks_exact(n.max(1))) {
+            self.reduced.multiply(weights, spread);
         }
         let mut rows = Vec::with_capacity(n_functions * (columns.len() + n_functions));
         for row in 0..n_functions {
