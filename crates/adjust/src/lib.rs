@@ -8,14 +8,25 @@
 mod adjust;
 mod chain;
 mod error;
+mod object_pose;
 mod options;
 mod rejection;
 mod report;
 mod reprojection;
 mod rig_problem;
+mod sighted_point;
+#[cfg(test)]
+mod test_numbers;
+mod touch;
 
 pub use adjust::{Optimum, adjust, optimize};
 pub use chain::{Chain, Link};
 pub use error::Error;
+pub use object_pose::{ObjectPose, ObjectPoseError, SeenPoint, assessed, object_pose};
 pub use options::{AdjustOptions, Hold, Loss, Observer, Progress, Regularization, Rejection};
 pub use reprojection::{Layouts, Reprojection, TargetPoints};
+pub use sighted_point::{Sight, SightedPoint, SightedPointError, sighted_point};
+pub use touch::{
+    Heights, PlaneFunction, Position, TipKnowledge, Touch, TouchError, TouchFit, TouchLens, TouchOptions,
+    TouchedPlane, TriedModel, plane_columns, plane_position, plane_spread, touched_plane,
+};

@@ -10,6 +10,7 @@ mod calibration;
 mod dataset;
 mod finding;
 mod ids;
+mod robot_plane;
 mod scene;
 mod target;
 
@@ -20,5 +21,6 @@ pub use calibration::{
 pub use dataset::{CameraInfo, Dataset, Frame, Observation, View};
 pub use finding::{Finding, Severity};
 pub use ids::{CameraId, FrameId, Id, IdVec, PointId, TargetId};
+pub use robot_plane::{PlaneLens, PlaneModel, RobotPlane};
 pub use scene::{Mount, Rig, RigCamera, Robot, Scene, TargetBelief, TargetMount};
 pub use target::{Geometry, Shape, Target};
