@@ -29,6 +29,9 @@ mod number;
 mod observations_parquet;
 mod opencv_yaml;
 mod python_literal;
+mod robot_job;
+mod robot_plane_json;
+mod robot_table;
 #[cfg(test)]
 mod samples;
 mod seen;
@@ -50,4 +53,9 @@ pub use job::{JOB_FILE, Job, JobOverrides, hash, load_job, read_calibration};
 pub use observations_parquet::{
     OBSERVATIONS_SCHEMA, ObservationRow, attach_residuals, observations_to_parquet, read_observations,
 };
+pub use robot_job::{RobotJob, read_robot_job};
+pub use robot_plane_json::{
+    PLANE_SCHEMA, PlaneDocument, TouchDocument, TriedDocument, plane_to_json, read_plane,
+};
+pub use robot_table::RobotTable;
 pub use target_spec::parse_target;
