@@ -50,6 +50,9 @@ pub enum Error {
     /// A camera's parameters are none of its lens model.
     #[error(transparent)]
     Camera(#[from] boresight_camera::Error),
+    /// A robot command has no answer.
+    #[error(transparent)]
+    Robot(#[from] crate::robot_error::RobotError),
 }
 
 impl Error {
@@ -61,6 +64,7 @@ impl Error {
                 boresight_io::Kind::Input => ErrorKind::Input,
                 boresight_io::Kind::CannotWrite => ErrorKind::CannotWrite,
             },
+            Error::Robot(error) => error.kind(),
             Error::Options { .. } | Error::UnknownCamera { .. } => ErrorKind::Usage,
             Error::Compare(
                 boresight_validate::Error::NotPositive { .. } | boresight_validate::Error::Columns { .. },
@@ -78,6 +82,7 @@ impl Error {
         let text = |text: &str| Some(text.to_owned());
         match self {
             Error::Io(error) => error.hint(),
+            Error::Robot(error) => error.hint(),
             Error::Options { .. } => {
                 text("[options] takes model, shape, regularization, loss, reject, cameras and jobs")
             }
