@@ -11,6 +11,7 @@ mod error;
 mod leave_one_out;
 mod loose;
 mod motions;
+mod object_pose;
 mod options;
 mod rejection;
 mod report;
@@ -18,12 +19,22 @@ mod reprojection;
 mod rig_problem;
 mod robot;
 mod robot_noise;
+mod sighted_point;
+#[cfg(test)]
+mod test_numbers;
+mod touch;
 
 pub use adjust::{Optimum, adjust, optimize};
 pub use chain::{Chain, Link};
 pub use error::Error;
 pub use leave_one_out::{HeldOut, SightErrors, leave_one_out, sight_errors};
+pub use object_pose::{ObjectPose, ObjectPoseError, SeenPoint, assessed, object_pose};
 pub use options::{AdjustOptions, Hold, Loss, Observer, Progress, Regularization, Rejection, RobotNoise};
 pub use reprojection::{Layouts, Reprojection, TargetPoints};
 pub use rig_problem::mrcal22_rows;
 pub use robot_noise::{EstimatedNoise, estimate_robot_noise};
+pub use sighted_point::{Sight, SightedPoint, SightedPointError, sighted_point};
+pub use touch::{
+    Heights, PlaneFunction, Position, TipKnowledge, Touch, TouchError, TouchFit, TouchLens, TouchOptions,
+    TouchedPlane, TriedModel, plane_columns, plane_position, plane_spread, touched_plane,
+};

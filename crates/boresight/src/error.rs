@@ -70,6 +70,9 @@ pub enum Error {
     /// A camera's parameters are none of its lens model.
     #[error(transparent)]
     Camera(#[from] boresight_camera::Error),
+    /// A robot command has no answer.
+    #[error(transparent)]
+    Robot(#[from] crate::robot_error::RobotError),
 }
 
 impl Error {
@@ -81,6 +84,7 @@ impl Error {
                 boresight_io::Kind::Input => ErrorKind::Input,
                 boresight_io::Kind::CannotWrite => ErrorKind::CannotWrite,
             },
+            Error::Robot(error) => error.kind(),
             Error::Options { .. } | Error::UnknownCamera { .. } | Error::NoRobotPoses => ErrorKind::Usage,
             Error::UnreadablePoses { .. } => ErrorKind::Input,
             Error::Degenerate(_) | Error::NoClosedForm { .. } => ErrorKind::Solve,
@@ -111,6 +115,7 @@ impl Error {
             Error::NoClosedForm { .. } => text(
                 "`boresight robot poses` tries all readings of the poses; are they turned about different axes?",
             ),
+            Error::Robot(error) => error.hint(),
             Error::Options { .. } => {
                 text("[options] takes model, shape, regularization, loss, reject, cameras and jobs")
             }

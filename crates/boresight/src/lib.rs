@@ -20,22 +20,33 @@ mod choices;
 mod error;
 mod explain;
 mod hand_eye;
+mod known_rig;
+mod locate;
 mod options;
 mod results;
+mod robot_error;
+mod robot_plane;
+mod robot_texts;
 mod select;
+mod stereo;
 
-pub use boresight_adjust::{Observer, Progress, RobotNoise};
+pub use boresight_adjust::{
+    Heights, ObjectPose, Observer, Progress, RobotNoise, TipKnowledge, Touch, TouchLens, TouchOptions,
+    TouchedPlane,
+};
 pub use boresight_camera::{Camera, Model};
 pub use boresight_data::{
     Calibration, CameraFit, CameraInfo, Dataset, Finding, Frame, Geometry, Id, Mounting, Observation,
-    PoseConvention, Provenance, Rejection, RejectionReason, Rig, RigCamera, Scene, Severity, Shape, Target,
-    View,
+    PlaneModel, PoseConvention, Provenance, Rejection, RejectionReason, Rig, RigCamera, RobotPlane, Scene,
+    Severity, Shape, Target, View,
 };
 pub use boresight_geometry::{Pose, Vector3};
 pub use boresight_io::{
-    Error as IoError, FORMATS, Job, JobOverrides, Kind as IoKind, NamedCamera, OutputFile, RobotAxes,
-    RobotInput, RobotOverrides, calibration_to_json, export, load_job, matrices_to_json, matrices_to_npy,
-    matrices_to_text, parse_target, read_calibration, read_cameras, write_files,
+    Error as IoError, FORMATS, Job, JobOverrides, Kind as IoKind, NamedCamera, OutputFile, PLANE_SCHEMA,
+    PlaneDocument, RobotAxes, RobotInput, RobotJob, RobotOverrides, RobotTable, TouchDocument, TriedDocument,
+    calibration_to_json, export, hash, load_job, matrices_to_json, matrices_to_npy, matrices_to_text,
+    parse_target, plane_to_json, read_calibration, read_cameras, read_plane, read_robot_job,
+    write_atomically, write_files,
 };
 pub use boresight_validate::{CompareOptions, ComparedCamera, RigComparison, Verdict, compare_rigs, verdict};
 
@@ -47,8 +58,18 @@ pub use hand_eye::{
     Figures, HAND_EYE_SCHEMA, HandEyeDocument, HandEyeOptions, HandEyeOutcome, MethodFigures, NoiseChoice,
     PoseReadings, SigmaSource, WorkingPoint, check_motions, describe_reading, hand_eye, read_poses,
 };
+pub use known_rig::KnownRig;
+pub use locate::{Candidate, LocatePoint, Located, locate};
 pub use options::CalibrateOptions;
 pub use results::{RESULT_FILES, result_files, sigma_of, write_results};
+
+pub use boresight_seed::triangle_from_sides;
+pub use robot_error::RobotError;
+pub use robot_plane::{
+    Chapter, ObjectSeen, PatternOutcome, PatternTouch, PlacedObject, PlaneOutcome, lens_of,
+    pattern_procedure, place_object, robot_plane,
+};
+pub use stereo::{Stereo, StereoFix};
 
 /// The version of Boresight, as provenance states it.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");

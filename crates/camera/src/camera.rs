@@ -251,9 +251,9 @@ mod tests {
             let mut moved = camera.clone();
             moved.params[i] += step;
             let pixel = moved.project(&point).unwrap();
-            for row in 0..2 {
+            for (row, moved) in pixel.iter().enumerate() {
                 // One-sided differences are good to the step times the second derivative.
-                let difference = (pixel[row] - at.pixel[row]) / step;
+                let difference = (moved - at.pixel[row]) / step;
                 assert!((difference - at.d_params[row][i]).abs() < 1e-3, "{i} {row}");
             }
         }
@@ -261,8 +261,8 @@ mod tests {
             let mut moved = point;
             moved[axis] += step;
             let pixel = camera.project(&moved).unwrap();
-            for row in 0..2 {
-                let difference = (pixel[row] - at.pixel[row]) / step;
+            for (row, moved) in pixel.iter().enumerate() {
+                let difference = (moved - at.pixel[row]) / step;
                 assert!((difference - at.d_point[row][axis]).abs() < 1e-2, "{axis} {row}");
             }
         }

@@ -7,6 +7,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::inputs::ImageSize;
 use crate::robot::RobotCommand;
+use crate::stereo::StereoArguments;
 
 /// Calibrates cameras: lenses, where they sit, and how well all of that is known.
 #[derive(Debug, Parser)]
@@ -35,6 +36,8 @@ pub(crate) enum Command {
     Project(ProjectArguments),
     /// Turn pixels (u v, one per line of stdin) into unit directions (x y z)
     Unproject(ProjectArguments),
+    /// Find points (x y z with sigmas, in metres) from the pixels of two or more cameras, one line of stdin each
+    Stereo(StereoArguments),
     /// Relate camera and robot
     Robot {
         #[command(subcommand)]

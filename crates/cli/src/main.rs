@@ -18,6 +18,7 @@ mod matrix;
 mod progress;
 mod project;
 mod robot;
+mod stereo;
 mod streams;
 mod summary;
 mod table;
@@ -47,6 +48,7 @@ fn run(command: Command) -> Result<ExitCode, Failure> {
         Command::Export(arguments) => export::run(&arguments),
         Command::Project(arguments) => project::project(&arguments),
         Command::Unproject(arguments) => project::unproject(&arguments),
+        Command::Stereo(arguments) => stereo::run(&arguments),
         Command::Robot { command } => robot::run(&command),
         Command::Explain { code } => explain::run(code.as_deref()),
         Command::Completions { shell } => {

@@ -1,5 +1,9 @@
 //! `boresight robot`: the robot side of a camera. A subcommand is a file in the folder `robot` and one
-//! line in each of the two lists here.
+//! line in each of the lists here.
+
+mod locate;
+mod plane;
+mod pose;
 
 mod hand_eye;
 mod poses;
@@ -17,6 +21,12 @@ pub(crate) enum RobotCommand {
     HandEye(hand_eye::HandEyeArguments),
     /// Try all conventions of a table of robot poses on the data, and rank them
     Poses(poses::PosesArguments),
+    /// Find all poses of an object from three or more of its points in one image (Eqs 8.15, 8.16)
+    Locate(locate::LocateArguments),
+    /// Relate the image to the robot's plane by touched points (Eqs 8.23 to 8.27)
+    Plane(plane::PlaneArguments),
+    /// Find objects in the robot's frame from one image, by a plane (Eqs 8.28 to 8.30)
+    Pose(pose::PoseArguments),
 }
 
 /// Runs a subcommand.
@@ -24,5 +34,8 @@ pub(crate) fn run(command: &RobotCommand) -> Result<ExitCode, Failure> {
     match command {
         RobotCommand::HandEye(arguments) => hand_eye::run(arguments),
         RobotCommand::Poses(arguments) => poses::run(arguments),
+        RobotCommand::Locate(arguments) => locate::run(arguments),
+        RobotCommand::Plane(arguments) => plane::run(arguments),
+        RobotCommand::Pose(arguments) => pose::run(arguments),
     }
 }

@@ -8,6 +8,8 @@ mod bad_inputs;
 mod calibrate;
 #[path = "e2e/results.rs"]
 mod results;
+#[path = "e2e/robot.rs"]
+mod robot;
 
 use std::path::{Path, PathBuf};
 

@@ -12,6 +12,7 @@ mod finding;
 mod ids;
 mod image;
 mod pose_convention;
+mod robot_plane;
 mod scene;
 mod target;
 
@@ -27,5 +28,6 @@ pub use pose_convention::{
     AngleUnit, BadPoseConvention, LengthUnit, MAKERS, PoseConvention, PoseDirection, PoseRow, RotationKind,
     TurnsAbout,
 };
+pub use robot_plane::{PlaneLens, PlaneModel, RobotPlane};
 pub use scene::{Mount, Mounting, Rig, RigCamera, Robot, Scene, Stretch, TargetBelief, TargetMount};
 pub use target::{Geometry, Shape, Target};

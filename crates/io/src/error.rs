@@ -145,6 +145,18 @@ pub enum Error {
         /// What a header looks like.
         example: &'static str,
     },
+    /// A column is missing from a robot's table.
+    #[error("{file}: the header `{header}` has no column {}", missing.join(" or "))]
+    TableColumn {
+        /// The file.
+        file: String,
+        /// The first line of the table.
+        header: String,
+        /// The names that the column may have.
+        missing: Vec<String>,
+        /// What a header looks like.
+        example: &'static str,
+    },
     /// A line has too few or too many columns.
     #[error("{place}: the line has {found} columns, the header {need}")]
     ColumnCount {
@@ -359,6 +371,9 @@ impl Error {
         match self {
             Error::CannotCarry { instead, .. } if instead.is_empty() => None,
             Error::CannotCarry { instead, .. } => Some(format!("these formats can: {}", instead.join(", "))),
+            Error::TableColumn { example, .. } => {
+                Some(format!("names of columns have their units, such as `{example}`"))
+            }
             Error::Header { example, .. } => {
                 Some(format!("the first line must name the columns, such as `{example}`"))
             }

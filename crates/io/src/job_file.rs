@@ -275,7 +275,7 @@ fn read_target(
 }
 
 /// Turns an error of the TOML reader into one with a line and, for a mistyped key, a proposal.
-fn explain(file: &str, bytes: &[u8], error: &toml::de::Error) -> Error {
+pub(crate) fn explain(file: &str, bytes: &[u8], error: &toml::de::Error) -> Error {
     let place = match error.span() {
         Some(span) => Place::line(file, line_of(bytes, span.start)),
         None => Place::file(file),

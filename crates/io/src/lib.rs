@@ -31,6 +31,9 @@ mod opencv_yaml;
 mod pose_table;
 mod python_literal;
 mod robot_input;
+mod robot_job;
+mod robot_plane_json;
+mod robot_table;
 #[cfg(test)]
 mod samples;
 mod seen;
@@ -54,4 +57,9 @@ pub use observations_parquet::{
 };
 pub use pose_table::{PoseTable, read_pose_table};
 pub use robot_input::{RobotAxes, RobotInput, RobotOverrides};
+pub use robot_job::{RobotJob, read_robot_job};
+pub use robot_plane_json::{
+    PLANE_SCHEMA, PlaneDocument, TouchDocument, TriedDocument, plane_to_json, read_plane,
+};
+pub use robot_table::RobotTable;
 pub use target_spec::parse_target;

@@ -199,8 +199,8 @@ fn ray_distances(
     // 1 - cos of the angle between unit vectors, without loss for small angles.
     let versine = |i: usize, j: usize| 0.5 * (rays[i] - rays[j]).norm_squared();
     let versines = [versine(0, 1), versine(1, 2), versine(2, 0)];
-    for k in 0..3 {
-        let angle_rad = (2.0 * versines[k]).sqrt();
+    for (k, versine) in versines.iter().enumerate() {
+        let angle_rad = (2.0 * versine).sqrt();
         if angle_rad < LEAST_ANGLE_RAD {
             return Err(ThreePointError::SameDirection {
                 pair: [k, (k + 1) % 3],

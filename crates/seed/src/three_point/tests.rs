@@ -97,8 +97,8 @@ fn run(count: usize) -> Outcome {
                 pose_error = apart(&solution.cam_from_target, &view.cam_from_target);
             }
             let seen = view.points.map(|point| solution.cam_from_target * point);
-            for k in 0..3 {
-                let missed = (seen[k].normalize() - view.rays[k]).norm();
+            for (k, point) in seen.iter().enumerate() {
+                let missed = (point.normalize() - view.rays[k]).norm();
                 let found = view.rays[k] * solution.distances[k]
                     - view.rays[(k + 1) % 3] * solution.distances[(k + 1) % 3];
                 let side = (view.points[k] - view.points[(k + 1) % 3]).norm();
