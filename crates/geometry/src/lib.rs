@@ -14,4 +14,4 @@ pub use dual::Dual;
 pub use nalgebra;
 pub use nalgebra::{Matrix2, Matrix3, Matrix6, Point3, Rotation3, UnitQuaternion, Vector2, Vector3, Vector6};
 pub use pose::{Pose, left_jacobian_inverse, skew};
-pub use scalar::Scalar;
+pub use scalar::{MAX_LANES, Scalar};

@@ -289,7 +289,7 @@ fn write_camera(
         };
         Ok(((*param).to_owned(), Param { value, sigma, why }))
     });
-    document.model = Some(camera.model.name().to_owned());
+    document.model = Some(camera.model.to_string());
     document.image_size = Some(camera.image_size);
     document.params = Some(Params(params.collect::<Result<_, Error>>()?));
     let of_pose = |axes: [&str; 3]| sigmas.of_all(axes.map(|axis| format!("{name}.cam_from_rig.{axis}")));

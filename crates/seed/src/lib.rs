@@ -16,6 +16,7 @@ mod kernel;
 mod left_out;
 mod lens_fit;
 mod linear;
+mod local_fit;
 mod profile;
 mod radial;
 mod resection;
@@ -27,6 +28,7 @@ mod subset;
 mod zhang;
 
 use boresight_camera::Model;
+use boresight_camera::kannala_brandt4::KannalaBrandt4;
 use boresight_data::{CameraId, Dataset, Id as _, Scene};
 
 pub use left_out::LeftOut;
@@ -61,6 +63,15 @@ impl Default for SeedOptions {
             lens_points_per_view: 80,
             lens_steps: 10,
         }
+    }
+}
+
+/// What a lens with local support is fitted to: a lens that sees beyond 90 degrees.
+const STAND_IN: Model = Model::KannalaBrandt4(KannalaBrandt4);
+
+impl SeedOptions {
+    fn model_of(&self, camera: CameraId) -> Model {
+        self.models[if self.models.len() == 1 { 0 } else { camera.index() }]
     }
 }
 
@@ -103,6 +114,14 @@ pub enum Error {
         /// How many it takes.
         need: usize,
     },
+    /// A camera's seed shows too little of its image to fit the lens model to.
+    #[error("the seed of camera {camera} sees too little of its image for lens model {model}")]
+    NoLocalFit {
+        /// The camera's name.
+        camera: String,
+        /// The lens model.
+        model: Model,
+    },
     /// No camera could be calibrated.
     #[error("none of the {cameras} cameras could be calibrated: {}", reasons.join("; "))]
     NoUsableCamera {
@@ -136,14 +155,23 @@ pub fn seed(dataset: &Dataset, options: &SeedOptions) -> Result<Seed, Error> {
     let mut cameras: Vec<Option<CameraSeed>> = Vec::with_capacity(n_cameras);
     let mut camera_facts = Vec::new();
     for (id, info) in dataset.cameras.enumerate() {
-        let model = options.models[if options.models.len() == 1 { 0 } else { id.index() }];
-        let seeded = seed_camera(id, info, model, &sightings[id.index()], options, &mut left_out);
+        let model = options.model_of(id);
+        // A lens with local support has too many parameters to be found from little; it is fitted last.
+        let first = if model.local_support().is_some() { STAND_IN } else { model };
+        let seeded = seed_camera(id, info, first, &sightings[id.index()], options, &mut left_out);
         cameras.push(seeded.map_err(|fact| camera_facts.push(fact)).ok());
     }
     if cameras.iter().all(Option::is_none) {
         return Err(nothing_usable(dataset, &camera_facts));
     }
-    let scene = rig::assemble(dataset, &sightings, cameras, &mut camera_facts, &mut left_out);
+    let mut scene = rig::assemble(dataset, &sightings, cameras, &mut camera_facts, &mut left_out);
+    for (id, camera) in dataset.cameras.ids().zip(scene.rig.cameras.iter_mut()) {
+        let (model, Some(camera)) = (options.model_of(id), camera) else { continue };
+        if model.local_support().is_some() {
+            camera.camera = local_fit::camera_from_lens(model, &camera.camera)
+                .ok_or_else(|| Error::NoLocalFit { camera: dataset.cameras[id].name.clone(), model })?;
+        }
+    }
     left_out.sort_by_key(LeftOut::view_idx);
     camera_facts.append(&mut left_out);
     Ok(Seed { scene, left_out: camera_facts })

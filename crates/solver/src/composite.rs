@@ -200,7 +200,17 @@ pub fn linearize_composite(
     scratch: &mut Scratch,
 ) -> Option<f64> {
     let Weighed { factor, cost } = term.sum_products(values, scratch)?;
-    let columns = &**term.columns();
+    expand_composite(term.columns(), factor, gram, scratch);
+    Some(cost)
+}
+
+/// Writes what the sums and links in `scratch` amount to, times `factor`, as a plain matrix of all columns.
+pub fn expand_composite(
+    columns: &CompositeColumns,
+    factor: f64,
+    gram: &mut GramMut<'_>,
+    scratch: &mut Scratch,
+) {
     let last = gram.size() - 1;
     let place = |column: usize| if column == columns.n_own { last } else { column };
     columns.each_own(scratch.gram.sums(), |a, b, sum| gram.row_mut(place(a))[place(b)] = factor * sum);
@@ -223,7 +233,6 @@ pub fn linearize_composite(
             }
         }
     }
-    Some(cost)
 }
 
 /// Returns the rows of the composite pose, in `room`.

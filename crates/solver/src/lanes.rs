@@ -2,11 +2,9 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+pub use boresight_geometry::MAX_LANES;
 use boresight_geometry::Scalar;
 use pulp::{Arch, Simd, WithSimd};
-
-/// The widest register of any instruction set that `pulp` dispatches to, in `f64`s.
-pub const MAX_LANES: usize = 8;
 
 /// Returns the number of `f64`s in a register of this machine, as `pulp` dispatches.
 pub fn count() -> usize {
@@ -102,6 +100,9 @@ impl<S: Simd> Neg for Lanes<S> {
 }
 
 impl<S: Simd> Scalar for Lanes<S> {
+    // The widest register of any instruction set that `pulp` dispatches to is that of AVX-512: eight.
+    const LANES: usize = S::F64_LANES;
+
     #[inline(always)]
     fn like(self, value: f64) -> Self {
         Self::splat(self.simd, value)
@@ -149,6 +150,27 @@ impl<S: Simd> Scalar for Lanes<S> {
         let below = self.simd.less_than_f64s(self.value, self.simd.splat_f64s(limit));
         Self { simd: self.simd, value: self.simd.select_f64s(below, if_below.value, otherwise.value) }
     }
+
+    #[inline(always)]
+    fn lane(self, lane: usize) -> f64 {
+        self.to_array()[lane]
+    }
+
+    #[inline(always)]
+    fn look_up(self, table: &[f64], places: &[usize; MAX_LANES]) -> Self {
+        let mut array = [0.0; MAX_LANES];
+        for lane in 0..Self::COUNT {
+            array[lane] = table[places[lane]];
+        }
+        Self::from_array(self.simd, &array)
+    }
+
+    #[inline(always)]
+    fn with_lane(self, lane: usize, other: Self) -> Self {
+        let mut array = self.to_array();
+        array[lane] = other.to_array()[lane];
+        Self::from_array(self.simd, &array)
+    }
 }
 
 #[cfg(test)]
@@ -178,6 +200,13 @@ mod tests {
             check(x.sin() + x.cos(), &|x| x.sin() + x.cos());
             check(x.atan2(x.like(0.5)), &|x| x.atan2(0.5));
             check(x.select_below(0.4, x.like(1.0), x), &|x| if x < 0.4 { 1.0 } else { x });
+            assert!((0..Lanes::<S>::COUNT).all(|i| x.lane(i) == input[i]));
+            let last = Lanes::<S>::COUNT - 1;
+            let mixed = x.with_lane(last, x.like(7.0));
+            assert!((0..last).all(|i| mixed.lane(i) == input[i]) && mixed.lane(last) == 7.0);
+            let places = [3, 0, 2, 1, 1, 0, 3, 2];
+            let found = x.look_up(&[10.0, 11.0, 12.0, 13.0], &places);
+            assert!((0..Lanes::<S>::COUNT).all(|i| found.lane(i) == 10.0 + places[i] as f64));
             assert!(x.like(1.0).all_above(0.5) && !x.like(f64::NAN).all_above(0.5));
             if Lanes::<S>::COUNT > 1 {
                 assert!(!x.all_above(-1.0));
