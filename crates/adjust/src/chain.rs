@@ -96,13 +96,8 @@ mod tests {
         let (rotation, translation) = chain.linearize(parameters.values(), &mut links);
         assert!((rotation - start.rotation_matrix()).norm() < 1e-14);
         assert!((translation - start.translation).norm() < 1e-14);
-        // The rows of a map are what it makes of the rows of the identity.
         let adjoint = |map: &Option<LinkMap>| {
-            let rows = [0, 1, 2, 3, 4, 5].map(|k| {
-                let row = [0, 1, 2, 3, 4, 5].map(|l| f64::from(u8::from(k == l)));
-                map.map_or(row, |map| map.map_row(row))
-            });
-            Matrix6::from_fn(|k, l| rows[k][l])
+            map.map_or(Matrix6::identity(), |map| Matrix6::from_fn(|k, l| map.matrix()[k][l]))
         };
         let adjoints: Vec<Matrix6<f64>> = links.maps().iter().map(adjoint).collect();
         let step = 1e-6;

@@ -8,14 +8,22 @@
 mod adjust;
 mod chain;
 mod error;
+mod leave_one_out;
+mod loose;
+mod motions;
 mod options;
 mod rejection;
 mod report;
 mod reprojection;
 mod rig_problem;
+mod robot;
+mod robot_noise;
 
 pub use adjust::{Optimum, adjust, optimize};
 pub use chain::{Chain, Link};
 pub use error::Error;
-pub use options::{AdjustOptions, Hold, Loss, Observer, Progress, Regularization, Rejection};
+pub use leave_one_out::{HeldOut, SightErrors, leave_one_out, sight_errors};
+pub use options::{AdjustOptions, Hold, Loss, Observer, Progress, Regularization, Rejection, RobotNoise};
 pub use reprojection::{Layouts, Reprojection, TargetPoints};
+pub use rig_problem::mrcal22_rows;
+pub use robot_noise::{EstimatedNoise, estimate_robot_noise};

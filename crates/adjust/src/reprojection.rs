@@ -179,9 +179,25 @@ impl Reprojection {
         };
     }
 
+    /// Returns the same term for other pixels and sigmas of the same points.
+    pub fn with_pixels(&self, observations: &[Observation]) -> Self {
+        assert_eq!(self.points.n_points, observations.len(), "each observation has its point");
+        let pixels =
+            [0, 1].map(|axis| padded(observations.iter().map(|observation| observation.pixel[axis])));
+        let mut term = Self { pixels, ..self.clone() };
+        term.set_kept(observations, |_| true);
+        term
+    }
+
     /// Sets the loss.
     pub fn set_loss(&mut self, loss: Loss) {
         self.loss = loss;
+    }
+
+    /// Returns the number of lens parameters, that of shape coefficients, and the chain, whose blocks'
+    /// columns follow these two in the term.
+    pub(crate) fn parts(&self) -> (usize, usize, &Chain) {
+        (self.model.param_count(), self.n_shape, &self.chain)
     }
 
     /// Returns the predicted pixel of each observation, or `None` where the lens sees none of it.
@@ -322,7 +338,8 @@ fn accumulate<M: CameraModel, S: Simd, const SHAPE: usize>(
     let (u_rows, v_rows) = scratch.rows[aligned..aligned + 2 * room].split_at_mut(room);
     let (u_rows, _) = S::as_mut_simd_f64s(u_rows);
     let (v_rows, _) = S::as_mut_simd_f64s(v_rows);
-    let context = Context { model, term, lens, rotation, translation, shape };
+    let by_focal = [1.0 / lens[0], 1.0 / lens[1]];
+    let context = Context { model, term, lens, by_focal, rotation, translation, shape };
     // A weight that all rows share is applied to their sums.
     let (uniform, factor) = match (&term.weights, term.loss) {
         (Weights::Uniform(weight), Loss::None) => (true, weight * weight),
@@ -366,6 +383,8 @@ struct Context<'a, M> {
     model: M,
     term: &'a Reprojection,
     lens: &'a [f64],
+    /// The inverse focal lengths.
+    by_focal: [f64; 2],
     rotation: Matrix3<f64>,
     translation: [f64; 3],
     shape: [f64; MAX_SHAPE],
@@ -382,7 +401,7 @@ impl<M: CameraModel> Context<'_, M> {
         point: usize,
         rows: [&mut [S::f64s]; 2],
     ) -> Option<f64> {
-        let Self { model, term, lens, rotation, translation, shape } = self;
+        let Self { model, term, lens, by_focal, rotation, translation, shape } = self;
         let n_lens = model.param_count() - 4;
         let zero = Lanes::splat(simd, 0.0);
         let axes = &term.points.axes;
@@ -426,7 +445,7 @@ impl<M: CameraModel> Context<'_, M> {
             let columns = &mut columns[..n_row_columns(model.param_count(), SHAPE).div_ceil(BLOCK) * BLOCK];
             let by_lens = if row == 0 { &by_lens_u } else { &by_lens_v };
             let [mut a, mut b, mut c] = by_point[row];
-            let mut by_focal = (pixel[row] - zero.like(lens[2 + row])).scale(1.0 / lens[row]);
+            let mut by_focal = (pixel[row] - zero.like(lens[2 + row])).scale(by_focal[row]);
             if WEIGHTED {
                 (a, b, c) = (a * scale, b * scale, c * scale);
                 by_focal = by_focal * scale;

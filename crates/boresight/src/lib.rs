@@ -19,21 +19,23 @@ mod calibrate;
 mod choices;
 mod error;
 mod explain;
+mod hand_eye;
 mod options;
 mod results;
 mod select;
 
-pub use boresight_adjust::{Observer, Progress};
+pub use boresight_adjust::{Observer, Progress, RobotNoise};
 pub use boresight_camera::{Camera, Model};
 pub use boresight_data::{
-    Calibration, CameraFit, CameraInfo, Dataset, Finding, Frame, Geometry, Id, Observation, Provenance,
-    Rejection, RejectionReason, Rig, RigCamera, Scene, Severity, Shape, Target, View,
+    Calibration, CameraFit, CameraInfo, Dataset, Finding, Frame, Geometry, Id, Mounting, Observation,
+    PoseConvention, Provenance, Rejection, RejectionReason, Rig, RigCamera, Scene, Severity, Shape, Target,
+    View,
 };
 pub use boresight_geometry::{Pose, Vector3};
 pub use boresight_io::{
-    Error as IoError, FORMATS, Job, JobOverrides, Kind as IoKind, NamedCamera, OutputFile,
-    calibration_to_json, export, load_job, matrices_to_json, matrices_to_npy, matrices_to_text, parse_target,
-    read_calibration, read_cameras, write_files,
+    Error as IoError, FORMATS, Job, JobOverrides, Kind as IoKind, NamedCamera, OutputFile, RobotAxes,
+    RobotInput, RobotOverrides, calibration_to_json, export, load_job, matrices_to_json, matrices_to_npy,
+    matrices_to_text, parse_target, read_calibration, read_cameras, write_files,
 };
 pub use boresight_validate::{CompareOptions, ComparedCamera, RigComparison, Verdict, compare_rigs, verdict};
 
@@ -41,6 +43,10 @@ pub use calibrate::{Outcome, Watch, calibrate};
 pub use choices::{BadChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
 pub use error::{Error, ErrorKind};
 pub use explain::{codes, explain};
+pub use hand_eye::{
+    Figures, HAND_EYE_SCHEMA, HandEyeDocument, HandEyeOptions, HandEyeOutcome, MethodFigures, NoiseChoice,
+    PoseReadings, SigmaSource, WorkingPoint, check_motions, describe_reading, hand_eye, read_poses,
+};
 pub use options::CalibrateOptions;
 pub use results::{RESULT_FILES, result_files, sigma_of, write_results};
 

@@ -68,6 +68,17 @@ pub struct Camera {
     pub image_size: [u32; 2],
 }
 
+/// A projected point and how its pixel moves.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Linearized {
+    /// The pixel.
+    pub pixel: [f64; 2],
+    /// The derivative of u and of v by the point in the camera frame.
+    pub d_point: [[f64; 3]; 2],
+    /// The derivative of u and of v by each parameter of the lens.
+    pub d_params: [Vec<f64>; 2],
+}
+
 impl Camera {
     /// Returns the camera, after checking number and values of the parameters.
     pub fn new(model: Model, params: Vec<f64>, image_size: [u32; 2]) -> Result<Self, Error> {
@@ -100,6 +111,29 @@ impl Camera {
             }
         }
         self.model.visit(Project(&self.params, (*point_in_cam).into()))
+    }
+
+    /// Returns the pixel that sees `point_in_cam`, with its derivatives by the point and by all lens
+    /// parameters; `None` outside the model's domain.
+    pub fn linearize(&self, point_in_cam: &Vector3<f64>) -> Option<Linearized> {
+        struct Linearize<'a>(&'a [f64], [f64; 3]);
+        impl ModelVisitor for Linearize<'_> {
+            type Output = Option<Linearized>;
+            fn visit<M: CameraModel>(self, model: M) -> Self::Output {
+                let Self(params, point) = self;
+                let mut d_point = [[0.0; 3]; 2];
+                let mut d_params = [vec![0.0; params.len()], vec![0.0; params.len()]];
+                let [u_row, v_row] = &mut d_params;
+                let pixel =
+                    model.linearize(params, point, &mut d_point, [&mut u_row[4..], &mut v_row[4..]])?;
+                // The pixel is (fx x + cx, fy y + cy).
+                u_row[0] = (pixel[0] - params[2]) / params[0];
+                v_row[1] = (pixel[1] - params[3]) / params[1];
+                (u_row[2], v_row[3]) = (1.0, 1.0);
+                Some(Linearized { pixel, d_point, d_params })
+            }
+        }
+        self.model.visit(Linearize(&self.params, (*point_in_cam).into()))
     }
 
     /// Returns the unit direction in the camera frame that `pixel` sees, or `None` if there is none.
@@ -198,5 +232,40 @@ impl Model {
             }
         }
         self.visit(Undistorted(core))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn linearized_pixels_match_differences() {
+        let params = vec![1200.0, 1190.0, 800.5, 610.0, -0.2, 0.05, 1e-3, -5e-4, 0.02];
+        let camera = Camera::new("opencv5".parse().unwrap(), params, [1600, 1200]).unwrap();
+        let point = Vector3::new(0.4, -0.3, 1.5);
+        let at = camera.linearize(&point).unwrap();
+        assert_eq!(Some(at.pixel), camera.project(&point));
+        let step = 1e-6;
+        for i in 0..camera.params.len() {
+            let mut moved = camera.clone();
+            moved.params[i] += step;
+            let pixel = moved.project(&point).unwrap();
+            for row in 0..2 {
+                // One-sided differences are good to the step times the second derivative.
+                let difference = (pixel[row] - at.pixel[row]) / step;
+                assert!((difference - at.d_params[row][i]).abs() < 1e-3, "{i} {row}");
+            }
+        }
+        for axis in 0..3 {
+            let mut moved = point;
+            moved[axis] += step;
+            let pixel = camera.project(&moved).unwrap();
+            for row in 0..2 {
+                let difference = (pixel[row] - at.pixel[row]) / step;
+                assert!((difference - at.d_point[row][axis]).abs() < 1e-2, "{axis} {row}");
+            }
+        }
+        assert_eq!(camera.linearize(&-point), None);
     }
 }

@@ -18,6 +18,6 @@ pub mod splined;
 pub mod stereographic;
 pub mod textbook;
 
-pub use camera::{Camera, Error};
+pub use camera::{Camera, Error, Linearized};
 pub use model::{CameraModel, LocalLinear, LocalSupport, MAX_LOCAL, MAX_PARAMS, ParamGroup};
 pub use registry::{Model, ModelVisitor};

@@ -6,6 +6,7 @@ use boresight::{LossChoice, Model, RegularizationChoice, RejectChoice, ShapeChoi
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::inputs::ImageSize;
+use crate::robot::RobotCommand;
 
 /// Calibrates cameras: lenses, where they sit, and how well all of that is known.
 #[derive(Debug, Parser)]
@@ -34,6 +35,11 @@ pub(crate) enum Command {
     Project(ProjectArguments),
     /// Turn pixels (u v, one per line of stdin) into unit directions (x y z)
     Unproject(ProjectArguments),
+    /// Relate camera and robot
+    Robot {
+        #[command(subcommand)]
+        command: RobotCommand,
+    },
     /// Explain a finding's code, or list all codes
     Explain {
         /// The code, such as few-views; none lists all

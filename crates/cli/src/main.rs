@@ -17,6 +17,7 @@ mod inputs;
 mod matrix;
 mod progress;
 mod project;
+mod robot;
 mod streams;
 mod summary;
 mod table;
@@ -46,6 +47,7 @@ fn run(command: Command) -> Result<ExitCode, Failure> {
         Command::Export(arguments) => export::run(&arguments),
         Command::Project(arguments) => project::project(&arguments),
         Command::Unproject(arguments) => project::unproject(&arguments),
+        Command::Robot { command } => robot::run(&command),
         Command::Explain { code } => explain::run(code.as_deref()),
         Command::Completions { shell } => {
             let mut script = Vec::new();

@@ -11,6 +11,7 @@
 mod average;
 mod bundle;
 mod graph;
+pub mod hand_eye;
 mod intrinsics;
 mod kernel;
 mod left_out;
@@ -25,15 +26,20 @@ mod rig_bundle;
 mod robust;
 mod sighting;
 mod subset;
+mod three_point;
 mod zhang;
 
-use boresight_camera::Model;
 use boresight_camera::kannala_brandt4::KannalaBrandt4;
+use boresight_camera::{Camera, Model};
 use boresight_data::{CameraId, Dataset, Id as _, Scene};
 
 pub use left_out::LeftOut;
+pub use three_point::{
+    ThreePointError, ThreePointPose, ThreePointPoses, backward_project, three_point_poses,
+    triangle_from_sides,
+};
 
-use crate::intrinsics::{CameraSeed, seed_camera};
+use crate::intrinsics::{CameraSeed, seed_camera, seed_known_camera};
 use crate::sighting::Sighting;
 
 /// How a seed is made.
@@ -51,6 +57,8 @@ pub struct SeedOptions {
     pub lens_points_per_view: usize,
     /// At most this many steps refine lens and poses together.
     pub lens_steps: usize,
+    /// The lenses that are known; empty knows none. Four points are enough for their views.
+    pub known: Vec<(CameraId, Camera)>,
 }
 
 impl Default for SeedOptions {
@@ -62,6 +70,7 @@ impl Default for SeedOptions {
             lens_views: 30,
             lens_points_per_view: 80,
             lens_steps: 10,
+            known: Vec::new(),
         }
     }
 }
@@ -72,6 +81,11 @@ const STAND_IN: Model = Model::KannalaBrandt4(KannalaBrandt4);
 impl SeedOptions {
     fn model_of(&self, camera: CameraId) -> Model {
         self.models[if self.models.len() == 1 { 0 } else { camera.index() }]
+    }
+
+    /// Returns the lens of a camera, if it is known.
+    fn known(&self, camera: CameraId) -> Option<&Camera> {
+        self.known.iter().find(|(known, _)| *known == camera).map(|(_, lens)| lens)
     }
 }
 
@@ -147,7 +161,8 @@ pub fn seed(dataset: &Dataset, options: &SeedOptions) -> Result<Seed, Error> {
     let mut left_out = Vec::new();
     let mut sightings: Vec<Vec<Sighting>> = vec![Vec::new(); n_cameras];
     for (view_idx, view) in dataset.views.iter().enumerate() {
-        match Sighting::new(view_idx, view, &dataset.targets[view.target], options.min_points.max(4)) {
+        let min_points = if options.known(view.camera).is_some() { 4 } else { options.min_points.max(4) };
+        match Sighting::new(view_idx, view, &dataset.targets[view.target], min_points) {
             Ok(sighting) => sightings[view.camera.index()].push(sighting),
             Err(fact) => left_out.push(fact),
         }
@@ -158,7 +173,11 @@ pub fn seed(dataset: &Dataset, options: &SeedOptions) -> Result<Seed, Error> {
         let model = options.model_of(id);
         // A lens with local support has too many parameters to be found from little; it is fitted last.
         let first = if model.local_support().is_some() { STAND_IN } else { model };
-        let seeded = seed_camera(id, info, first, &sightings[id.index()], options, &mut left_out);
+        let of_camera = &sightings[id.index()];
+        let seeded = match options.known(id) {
+            Some(lens) => seed_known_camera(id, lens, of_camera, &mut left_out),
+            None => seed_camera(id, info, first, of_camera, options, &mut left_out),
+        };
         cameras.push(seeded.map_err(|fact| camera_facts.push(fact)).ok());
     }
     if cameras.iter().all(Option::is_none) {

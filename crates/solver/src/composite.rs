@@ -11,6 +11,7 @@ use boresight_geometry::{Matrix3, Vector3};
 use pulp::{Simd, WithSimd};
 
 use crate::gram::{PairGram, Row};
+use crate::lanes::MAX_LANES;
 use crate::linearization::{GroupSums, SIDE};
 use crate::problem::{GramMut, POSE_COLUMNS, Scratch, Term, Values};
 use crate::structure::{CompositePlace, CouplingRun};
@@ -49,10 +50,12 @@ pub struct Links {
 /// How a left perturbation of a link moves the composite pose: the adjoint of a pose, or less that.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkMap {
-    rotation: [[f64; 3]; 3],
-    /// What a rotation of the link moves the composite by.
-    lever: [[f64; 3]; 3],
+    /// Row by row; the last two columns are zero and fill the registers.
+    rows: [[f64; BLOCK_STRIDE]; POSE_COLUMNS],
 }
+
+/// The distance of rows in a map and in what it makes of the composite's columns.
+const BLOCK_STRIDE: usize = MAX_LANES;
 
 impl Links {
     /// Forgets all links.
@@ -80,30 +83,19 @@ impl LinkMap {
     /// Returns `sign` times the adjoint of the pose of this rotation and translation.
     #[inline(always)]
     pub fn adjoint(rotation: &Matrix3<f64>, t: &Vector3<f64>, sign: f64) -> Self {
-        let mut map = Self { rotation: [[0.0; 3]; 3], lever: [[0.0; 3]; 3] };
+        let mut rows = [[0.0; BLOCK_STRIDE]; POSE_COLUMNS];
         for k in 0..3 {
-            let column = [rotation[(0, k)] * sign, rotation[(1, k)] * sign, rotation[(2, k)] * sign];
-            for l in 0..3 {
-                map.rotation[l][k] = column[l];
-            }
-            map.lever[0][k] = t.y * column[2] - t.z * column[1];
-            map.lever[1][k] = t.z * column[0] - t.x * column[2];
-            map.lever[2][k] = t.x * column[1] - t.y * column[0];
+            let [x, y, z] = [rotation[(0, k)] * sign, rotation[(1, k)] * sign, rotation[(2, k)] * sign];
+            (rows[0][k], rows[1][k], rows[2][k]) = (x, y, z);
+            (rows[3][3 + k], rows[4][3 + k], rows[5][3 + k]) = (x, y, z);
+            (rows[3][k], rows[4][k], rows[5][k]) = (t.y * z - t.z * y, t.z * x - t.x * z, t.x * y - t.y * x);
         }
-        map
+        Self { rows }
     }
 
-    /// Returns `row`, derivatives by the composite's perturbation, as derivatives by the link's.
-    #[inline(always)]
-    pub fn map_row(&self, row: [f64; POSE_COLUMNS]) -> [f64; POSE_COLUMNS] {
-        let mut mapped = [0.0; POSE_COLUMNS];
-        for k in 0..3 {
-            for l in 0..3 {
-                mapped[k] += row[l] * self.rotation[l][k] + row[3 + l] * self.lever[l][k];
-                mapped[3 + k] += row[3 + l] * self.rotation[l][k];
-            }
-        }
-        mapped
+    /// Returns the map as a matrix, row by row.
+    pub fn matrix(&self) -> [[f64; POSE_COLUMNS]; POSE_COLUMNS] {
+        self.rows.map(|row| std::array::from_fn(|k| row[k]))
     }
 }
 
@@ -116,8 +108,10 @@ pub struct CompositeColumns {
     n_sums: usize,
     /// For each entry of the upper triangle over own columns and residual, the two sums that make it up.
     own: Vec<[u32; 2]>,
-    /// The same for all columns of the six rows of the composite pose, rows [`stride`](Self::stride) apart.
-    pose: Vec<[u32; 2]>,
+    /// The same for all columns of the six rows of the composite pose, rows [`stride`](Self::stride)
+    /// apart: the first sum of each, then the second of the few that have one, with the entry.
+    pose: Vec<u32>,
+    pose_seconds: Vec<(u32, u32)>,
 }
 
 impl CompositeColumns {
@@ -146,11 +140,17 @@ impl CompositeColumns {
         for (k, &a) in of_own.iter().enumerate() {
             own.extend(of_own[k..].iter().map(|&b| sums(a, b)));
         }
-        let mut columns = Self { n_own, n_sums, own, pose: Vec::new() };
+        let mut columns = Self { n_own, n_sums, own, pose: Vec::new(), pose_seconds: Vec::new() };
         let stride = columns.stride();
         for row in 0..POSE_COLUMNS {
-            columns.pose.extend((0..=residual).map(|b| sums(n_own + row, b)));
-            columns.pose.resize((row + 1) * stride, [nothing; 2]);
+            for b in 0..=residual {
+                let [first, second] = sums(n_own + row, b);
+                if second != nothing {
+                    columns.pose_seconds.push((columns.pose.len() as u32, second));
+                }
+                columns.pose.push(first);
+            }
+            columns.pose.resize((row + 1) * stride, nothing);
         }
         columns
     }
@@ -166,11 +166,27 @@ impl CompositeColumns {
     }
 
     fn stride(&self) -> usize {
-        (self.n_own + POSE_COLUMNS + 1).next_multiple_of(crate::lanes::MAX_LANES)
+        (self.n_own + POSE_COLUMNS + 1).next_multiple_of(MAX_LANES)
     }
 
     fn residual(&self) -> usize {
         self.n_own + POSE_COLUMNS
+    }
+
+    /// Returns the number of links of a term with `n_columns` in all.
+    fn link_count(&self, n_columns: usize) -> usize {
+        (n_columns - self.n_own) / POSE_COLUMNS
+    }
+
+    /// Writes `factor` times the rows of the composite pose.
+    #[inline(always)]
+    fn gather(&self, sums: &[f64], factor: f64, rows: &mut [f64]) {
+        for (entry, &place) in rows.iter_mut().zip(&self.pose) {
+            *entry = factor * sums[place as usize];
+        }
+        for &(entry, place) in &self.pose_seconds {
+            rows[entry as usize] += factor * sums[place as usize];
+        }
     }
 
     /// Calls `write` with each entry of the upper triangle over own columns and residual, whose
@@ -211,91 +227,54 @@ pub fn expand_composite(
     gram: &mut GramMut<'_>,
     scratch: &mut Scratch,
 ) {
+    let n_own = columns.n_own;
     let last = gram.size() - 1;
-    let place = |column: usize| if column == columns.n_own { last } else { column };
+    let place = |column: usize| if column == n_own { last } else { column };
     columns.each_own(scratch.gram.sums(), |a, b, sum| gram.row_mut(place(a))[place(b)] = factor * sum);
-    let Scratch { links, gram: sums, pose_rows, .. } = scratch;
-    let pose_rows = gather(columns, sums.sums(), factor, pose_rows);
-    let (stride, n_own) = (columns.stride(), columns.n_own);
-    for (link, map) in links.maps().iter().enumerate() {
-        let mut mapped = vec![0.0; POSE_COLUMNS * stride];
-        map_rows(pose_rows, map, stride, &mut mapped);
-        for (k, row) in mapped.chunks_exact(stride).enumerate() {
+    let mut rows = vec![0.0; POSE_COLUMNS * columns.stride()];
+    columns.gather(scratch.gram.sums(), factor, &mut rows);
+    let entry = |row: usize, column: usize| rows[row * columns.stride() + column];
+    let identity: [[f64; 6]; 6] =
+        std::array::from_fn(|k| std::array::from_fn(|l| f64::from(u8::from(k == l))));
+    let maps: Vec<_> =
+        scratch.links.maps().iter().map(|map| map.map_or(identity, |map| map.matrix())).collect();
+    for (link, map) in maps.iter().enumerate() {
+        for k in 0..POSE_COLUMNS {
+            let mapped =
+                |column: usize| map.iter().enumerate().map(|(l, row)| row[k] * entry(l, column)).sum::<f64>();
             let column = n_own + POSE_COLUMNS * link + k;
-            for (a, entry) in row[..n_own].iter().enumerate() {
-                gram.row_mut(a)[column] = *entry;
+            for a in 0..n_own {
+                gram.row_mut(a)[column] = mapped(a);
             }
-            gram.row_mut(column)[last] = row[columns.residual()];
-            for (other, map) in links.maps().iter().enumerate().skip(link) {
-                let block = map_pose(&row[n_own..], map);
+            gram.row_mut(column)[last] = mapped(columns.residual());
+            let row: [f64; POSE_COLUMNS] = std::array::from_fn(|l| mapped(n_own + l));
+            for (other, map) in maps.iter().enumerate().skip(link) {
                 let first = n_own + POSE_COLUMNS * other;
-                gram.row_mut(column)[first..first + POSE_COLUMNS].copy_from_slice(&block);
+                for (l, entry) in gram.row_mut(column)[first..first + POSE_COLUMNS].iter_mut().enumerate() {
+                    *entry = row.iter().zip(map).map(|(row, map)| row * map[l]).sum();
+                }
             }
         }
     }
 }
 
-/// Returns the rows of the composite pose, in `room`.
-#[inline(always)]
-fn gather<'r>(columns: &CompositeColumns, sums: &[f64], factor: f64, room: &'r mut Vec<f64>) -> &'r [f64] {
-    let n = columns.pose.len();
-    if room.len() < n {
-        room.resize(n, 0.0);
-    }
-    let rows = &mut room[..n];
-    for (entry, &places) in rows.iter_mut().zip(&columns.pose) {
-        *entry = factor * at(sums, places);
-    }
-    rows
-}
-
-/// Writes the rows of the composite pose as those of a link.
-#[inline(always)]
-fn map_rows(rows: &[f64], map: &Option<LinkMap>, stride: usize, mapped: &mut [f64]) {
-    let Some(map) = map else {
-        mapped.copy_from_slice(rows);
-        return;
-    };
-    for k in 0..3 {
-        let (turned, moved) = mapped.split_at_mut(3 * stride);
-        let turned = &mut turned[k * stride..(k + 1) * stride];
-        let moved = &mut moved[k * stride..(k + 1) * stride];
-        for column in 0..stride {
-            let (mut turn, mut shift) = (0.0, 0.0);
-            for l in 0..3 {
-                let (by_turn, by_shift) = (rows[l * stride + column], rows[(3 + l) * stride + column]);
-                turn += by_turn * map.rotation[l][k] + by_shift * map.lever[l][k];
-                shift += by_shift * map.rotation[l][k];
-            }
-            turned[column] = turn;
-            moved[column] = shift;
-        }
-    }
-}
-
-#[inline(always)]
-fn map_pose(row: &[f64], map: &Option<LinkMap>) -> [f64; POSE_COLUMNS] {
-    let mut pose = [0.0; POSE_COLUMNS];
-    pose.copy_from_slice(&row[..POSE_COLUMNS]);
-    map.as_ref().map_or(pose, |map| map.map_row(pose))
-}
-
-/// Sums over composite terms of one kind, as they lie.
+/// Sums over composite terms of one kind.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct CompositeSums {
-    /// Of the products of rows, and a zero.
+    /// Of the products of rows, as they lie, and a zero.
     pub sums: Vec<f64>,
-    /// For each link, six rows over the term's columns and the residual; nothing for an eliminated one.
+    /// For each link six rows, which have the mapped columns of the composite term and then
+    /// [`BLOCK_STRIDE`] for each link; nothing for an eliminated link.
     pub links: Vec<f64>,
 }
 
 impl CompositeSums {
     /// Returns the room for terms of `n_columns` in all.
     pub(crate) fn new(columns: &CompositeColumns, n_columns: usize) -> Self {
-        let n_links = (n_columns - columns.n_own) / POSE_COLUMNS;
+        let n_links = columns.link_count(n_columns);
         Self {
             sums: vec![0.0; columns.n_sums + 1],
-            links: vec![0.0; n_links * POSE_COLUMNS * (n_columns + 1)],
+            links: vec![0.0; n_links * POSE_COLUMNS * (columns.stride() + n_links * BLOCK_STRIDE)],
         }
     }
 
@@ -311,26 +290,29 @@ impl CompositeSums {
     /// Adds everything to the upper triangle `matrix` over the term's columns without the eliminated ones.
     pub(crate) fn add_to(&self, place: &CompositePlace, matrix: &mut [f64]) {
         let &CompositePlace { ref columns, n_columns, eliminated } = place;
-        let n_own = columns.n_own;
+        let (n_own, n_links) = (columns.n_own, columns.link_count(n_columns));
         let side = n_columns + 1 - eliminated.map_or(0, |_| POSE_COLUMNS);
-        let place = |column: usize| match eliminated {
-            Some(first) if column > first => column - POSE_COLUMNS,
-            _ => column,
-        };
         let own_place = |column: usize| if column == n_own { side - 1 } else { column };
         columns.each_own(&self.sums, |a, b, sum| matrix[own_place(a) * side + own_place(b)] += sum);
-        for (k, row) in self.links.chunks_exact(n_columns + 1).enumerate() {
-            let column = n_own + k;
-            if eliminated.is_some_and(|first| (first..first + POSE_COLUMNS).contains(&column)) {
-                continue;
-            }
-            for (other, entry) in row.iter().enumerate() {
-                if eliminated.is_some_and(|first| (first..first + POSE_COLUMNS).contains(&other)) {
-                    continue;
+        // The links that are left, and where their columns begin.
+        let first = |link: usize| n_own + POSE_COLUMNS * link;
+        let left = (0..n_links).filter(|&link| Some(first(link)) != eliminated);
+        let left: Vec<(usize, usize)> = left.enumerate().map(|(place, link)| (link, first(place))).collect();
+        let stride = columns.stride() + n_links * BLOCK_STRIDE;
+        for (at, &(link, first)) in left.iter().enumerate() {
+            for k in 0..POSE_COLUMNS {
+                let row = &self.links[(POSE_COLUMNS * link + k) * stride..][..stride];
+                let column = first + k;
+                for (own, entry) in row[..n_own].iter().enumerate() {
+                    matrix[own * side + column] += entry;
                 }
-                let (row, other) = (place(column), place(other));
-                if other < n_own || other >= row {
-                    matrix[row.min(other) * side + row.max(other)] += entry;
+                matrix[column * side + side - 1] += row[columns.residual()];
+                let blocks = row[columns.stride()..].chunks_exact(BLOCK_STRIDE);
+                let blocks: Vec<&[f64]> = blocks.collect();
+                for &(other, other_first) in &left[at..] {
+                    for l in (0..POSE_COLUMNS).filter(|&l| other != link || l >= k) {
+                        matrix[column * side + other_first + l] += blocks[other][l];
+                    }
                 }
             }
         }
@@ -355,51 +337,95 @@ impl WithSimd for AddComposite<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
+    fn with_simd<S: Simd>(self, simd: S) {
         let Self { columns, factor, n_columns, eliminated, scratch, kind, group, coupling } = self;
         let Scratch { gram, links, pose_rows, link_rows, .. } = scratch;
         let (stride, n_own) = (columns.stride(), columns.n_own);
-        for (sum, part) in kind.sums.iter_mut().zip(gram.sums()) {
-            *sum += factor * part;
-        }
-        let pose_rows = gather(columns, gram.sums(), factor, pose_rows);
-        let n_mapped = POSE_COLUMNS * stride;
-        if link_rows.len() < n_mapped + n_columns + 1 {
-            link_rows.resize(n_mapped + n_columns + 1, 0.0);
-        }
-        let (mapped, expanded) = link_rows.split_at_mut(n_mapped);
-        let expanded = &mut expanded[..n_columns + 1];
-        let maps = links.maps();
-        for (link, map) in maps.iter().enumerate() {
+        let n_links = columns.link_count(n_columns);
+        let row_stride = stride + n_links * BLOCK_STRIDE;
+        // A block is read where the row of its columns may end one number before it.
+        let n_rows = POSE_COLUMNS * stride;
+        pose_rows.resize(n_rows + BLOCK_STRIDE, 0.0);
+        link_rows.resize(POSE_COLUMNS * row_stride + BLOCK_STRIDE, 0.0);
+        add_scaled(simd, &mut kind.sums[..columns.n_sums], &gram.sums()[..columns.n_sums], factor);
+        columns.gather(gram.sums(), factor, pose_rows);
+        for (link, map) in links.maps().iter().enumerate() {
             let first = n_own + POSE_COLUMNS * link;
-            map_rows(pose_rows, map, stride, mapped);
             for k in 0..POSE_COLUMNS {
-                let row = &mapped[k * stride..(k + 1) * stride];
-                expanded[..n_own].copy_from_slice(&row[..n_own]);
-                expanded[n_columns] = row[columns.residual()];
-                for (other, other_map) in maps.iter().enumerate() {
-                    let other = n_own + POSE_COLUMNS * other;
-                    if eliminated == Some(other) && other != first {
-                        continue;
+                let row = &mut link_rows[k * row_stride..(k + 1) * row_stride + BLOCK_STRIDE];
+                match map {
+                    None => copy(simd, &mut row[..stride], &pose_rows[k * stride..(k + 1) * stride]),
+                    Some(map) => {
+                        let mut factors = [0.0; POSE_COLUMNS];
+                        for (factor, row) in factors.iter_mut().zip(&map.rows) {
+                            *factor = row[k];
+                        }
+                        combine(simd, &mut row[..stride], pose_rows, stride, factors);
                     }
-                    let block = map_pose(&row[n_own..], other_map);
-                    expanded[other..other + POSE_COLUMNS].copy_from_slice(&block);
                 }
-                if eliminated == Some(first) {
-                    group.add_row(k, expanded, first, coupling);
-                } else {
-                    let start = (POSE_COLUMNS * link + k) * (n_columns + 1);
-                    add(&mut kind.links[start..start + n_columns + 1], expanded);
+            }
+            for (other, map) in links.maps().iter().enumerate() {
+                // What an eliminated link has to do with this one stands in its own rows.
+                if eliminated == Some(n_own + POSE_COLUMNS * other) && other != link {
+                    continue;
                 }
+                for k in 0..POSE_COLUMNS {
+                    let row = &mut link_rows[k * row_stride..(k + 1) * row_stride + BLOCK_STRIDE];
+                    let (row, blocks) = row.split_at_mut(stride);
+                    let block = &mut blocks[other * BLOCK_STRIDE..(other + 1) * BLOCK_STRIDE];
+                    let mut pose = [0.0; POSE_COLUMNS];
+                    pose.copy_from_slice(&row[n_own..n_own + POSE_COLUMNS]);
+                    match map {
+                        None => block[..POSE_COLUMNS].copy_from_slice(&pose),
+                        Some(map) => combine(simd, block, map.rows.as_flattened(), BLOCK_STRIDE, pose),
+                    }
+                }
+            }
+            if eliminated == Some(first) {
+                for k in 0..POSE_COLUMNS {
+                    let (row, blocks) = link_rows[k * row_stride..(k + 1) * row_stride].split_at(stride);
+                    let own = &blocks[link * BLOCK_STRIDE..];
+                    group.add_row(k, [row, blocks], n_own, own, row[columns.residual()], coupling);
+                }
+            } else {
+                let n = POSE_COLUMNS * row_stride;
+                add_scaled(simd, &mut kind.links[link * n..(link + 1) * n], &link_rows[..n], 1.0);
             }
         }
     }
 }
 
+/// Adds `factor` times `parts` to `sums`, which are whole registers.
 #[inline(always)]
-fn add(sums: &mut [f64], parts: &[f64]) {
+fn add_scaled<S: Simd>(simd: S, sums: &mut [f64], parts: &[f64], factor: f64) {
+    let factor = simd.splat_f64s(factor);
+    let (sums, _) = S::as_mut_simd_f64s(sums);
+    let (parts, _) = S::as_simd_f64s(parts);
     for (sum, part) in sums.iter_mut().zip(parts) {
-        *sum += part;
+        *sum = simd.mul_add_f64s(factor, *part, *sum);
+    }
+}
+
+/// Writes `from` to `to`, which are whole registers.
+#[inline(always)]
+fn copy<S: Simd>(_: S, to: &mut [f64], from: &[f64]) {
+    let (to, _) = S::as_mut_simd_f64s(to);
+    let (from, _) = S::as_simd_f64s(from);
+    to.copy_from_slice(from);
+}
+
+/// Writes the sum of `factors` times six rows, which are `stride` apart and whole registers.
+#[inline(always)]
+fn combine<S: Simd>(simd: S, sum: &mut [f64], rows: &[f64], stride: usize, factors: [f64; POSE_COLUMNS]) {
+    let (sum, _) = S::as_mut_simd_f64s(sum);
+    for (at, sum) in sum.iter_mut().enumerate() {
+        let mut total = simd.splat_f64s(0.0);
+        for (l, factor) in factors.into_iter().enumerate() {
+            let start = l * stride + at * S::F64_LANES;
+            let row = S::as_simd_f64s(&rows[start..start + S::F64_LANES]).0[0];
+            total = simd.mul_add_f64s(simd.splat_f64s(factor), row, total);
+        }
+        *sum = total;
     }
 }
 

@@ -1,5 +1,7 @@
 //! The covariance at the optimum, from the factor of the reduced system.
 
+mod linear;
+
 use crate::Error;
 use crate::linearization::{GroupSums, Linearization, SIDE};
 use crate::options::SolveOptions;
@@ -8,6 +10,7 @@ use crate::reduced::Inverse;
 use crate::solve::threads;
 use crate::step::{StepSolver, backward, cholesky, forward};
 use crate::structure::{HELD, Structure};
+pub use linear::LinearFunctions;
 
 /// The least reciprocal condition of the scaled reduced system with which its inverse means something.
 const LEAST_RECIPROCAL_CONDITION: f64 = 1e-14;
@@ -17,6 +20,8 @@ const LEAST_RECIPROCAL_CONDITION: f64 = 1e-14;
 pub struct Covariance {
     structure: Structure,
     reduced: Inverse,
+    /// The diagonal of the reduced system, by reduced column: what is known of a column if all others are known.
+    information: Vec<f64>,
     /// For each eliminated block: its own inverse, and its dependence on the reduced columns.
     eliminated: Vec<Option<Eliminated>>,
     /// The cost of the observations at the optimum.
@@ -96,6 +101,7 @@ fn covariance_of(
         }
     }
     Ok(Covariance {
+        information: steps.reduced.diagonal.clone(),
         reduced: steps.reduced.into_inverse(),
         structure,
         eliminated,
@@ -124,6 +130,14 @@ impl Covariance {
             (Some(a), Some(b)) => self.reduced.entry(a, b),
             _ => 0.0,
         }
+    }
+
+    /// Returns the reciprocal variance that a column would have if all other columns but those eliminated
+    /// first were known; `None` for a held column or one of an eliminated block.
+    ///
+    /// Times the column's own variance this is how much the other columns take of what is known of it.
+    pub fn information(&self, column: (BlockId, usize)) -> Option<f64> {
+        self.reduced_column(column).map(|column| self.information[column])
     }
 
     /// Returns the block and column of a reduced column, as [`Error::Singular`] names them.
@@ -168,6 +182,30 @@ impl Covariance {
             }
         }
         Some(covariance)
+    }
+
+    /// Returns the covariance of the columns of a block that was eliminated first with those of a reduced block.
+    ///
+    /// A row for each of the first's columns; zero where either is held or no term sees the first.
+    pub fn eliminated_with(&self, block: BlockId, reduced: BlockId) -> Vec<Vec<f64>> {
+        let columns = &self.structure.reduced_columns[reduced.0];
+        let mut covariance = vec![vec![0.0; columns.len()]; SIDE];
+        let Some(eliminated) = self.eliminated[block.0].as_ref() else { return covariance };
+        let n = eliminated.columns.len();
+        for (k, row) in covariance.iter_mut().enumerate() {
+            for (entry, &column) in row.iter_mut().zip(columns) {
+                if column != HELD {
+                    // -(V⁻¹ W) Σ.
+                    *entry = -(0..n)
+                        .map(|other| {
+                            let row = eliminated.columns[other] as usize;
+                            eliminated.dependence[k * n + other] * self.reduced.entry(row, column as usize)
+                        })
+                        .sum::<f64>();
+                }
+            }
+        }
+        covariance
     }
 
     fn reduced_column(&self, (block, column): (BlockId, usize)) -> Option<usize> {

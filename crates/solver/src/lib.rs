@@ -33,7 +33,7 @@ pub use composite::{
     CompositeColumns, CompositeTerm, LinkMap, Links, MAX_LINKS, Weighed, expand_composite,
     linearize_composite,
 };
-pub use covariance::{Covariance, covariance};
+pub use covariance::{Covariance, LinearFunctions, covariance};
 pub use error::Error;
 pub use levenberg_marquardt::Counters;
 pub use local::{Accumulated, EliminatedSums, LocalTerm};

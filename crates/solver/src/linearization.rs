@@ -4,6 +4,7 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use crate::composite::{AddComposite, CompositeSums, CompositeTerm};
+use crate::lanes::MAX_LANES;
 use crate::local::{Accumulated, EliminatedSums, LocalTerm};
 use crate::problem::{BlockId, GramMut, Problem, Scratch, Term, TermKind, Values};
 use crate::structure::{CouplingRun, HELD, Signature, Structure, TermPlace};
@@ -437,16 +438,29 @@ impl GroupSums {
         self.coupling.fill(0.0);
     }
 
-    /// Adds row `k` of the eliminated block, over a term's columns and the residual; the block's own
-    /// columns begin at `first`.
+    /// Adds row `k` of the eliminated block: what it has to do with the term's parameters (`parts[0]`),
+    /// with the links of its chain (`parts[1]`, from column `n_own` on), with itself and the residual.
     #[inline(always)]
-    pub(crate) fn add_row(&mut self, k: usize, row: &[f64], first: usize, runs: &[CouplingRun]) {
+    pub(crate) fn add_row(
+        &mut self,
+        k: usize,
+        parts: [&[f64]; 2],
+        n_own: usize,
+        own: &[f64],
+        residual: f64,
+        runs: &[CouplingRun],
+    ) {
         let n_coupled = self.coupling.len() / SIDE;
-        add(&mut self.own[k], &row[first..first + SIDE]);
-        self.gradient[k] += row[row.len() - 1];
+        add(&mut self.own[k], &own[..SIDE]);
+        self.gradient[k] += residual;
         let coupling = &mut self.coupling[k * n_coupled..(k + 1) * n_coupled];
         for run in runs {
-            add(&mut coupling[run.place..run.place + run.length], &row[run.column..]);
+            let part = match run.column.checked_sub(n_own) {
+                None => &parts[0][run.column..],
+                // Links are a register apart.
+                Some(column) => &parts[1][column / SIDE * MAX_LANES + column % SIDE..],
+            };
+            add(&mut coupling[run.place..run.place + run.length], part);
         }
     }
 

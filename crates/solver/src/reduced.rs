@@ -17,7 +17,7 @@ pub(crate) struct Reduced {
     system: System,
     gradient: Vec<f64>,
     /// The diagonal of the system, which factoring overwrites.
-    diagonal: Vec<f64>,
+    pub(crate) diagonal: Vec<f64>,
     /// The inverse root of the diagonal.
     scale: Vec<f64>,
     /// The step by reduced column.
@@ -44,6 +44,18 @@ impl Inverse {
         match self {
             Inverse::Dense(matrix) => matrix[(row, column)],
             Inverse::Sparse(inverse) => inverse.entry(row, column),
+        }
+    }
+
+    /// Writes the product of the inverse with a vector.
+    pub(crate) fn multiply(&self, x: &[f64], product: &mut [f64]) {
+        match self {
+            Inverse::Dense(matrix) => {
+                for (column, entry) in product.iter_mut().enumerate() {
+                    *entry = matrix.col_as_slice(column).iter().zip(x).map(|(entry, x)| entry * x).sum();
+                }
+            }
+            Inverse::Sparse(inverse) => inverse.multiply(x, product),
         }
     }
 }

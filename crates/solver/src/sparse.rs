@@ -223,6 +223,15 @@ impl SparseInverse {
         entry * self.scale[row] * self.scale[column]
     }
 
+    /// Writes the product of the inverse with a vector.
+    pub(crate) fn multiply(&self, x: &[f64], product: &mut [f64]) {
+        let scaled = x.iter().zip(&self.scale).map(|(x, scale)| x * scale);
+        product.iter_mut().zip(scaled).for_each(|(entry, x)| *entry = x);
+        let mut room = MemBuffer::new(self.symbolic.solve_in_place_scratch::<f64>(1, Par::Seq));
+        solve(&self.symbolic, &self.factor, product, &mut room);
+        product.iter_mut().zip(&self.scale).for_each(|(entry, scale)| *entry *= scale);
+    }
+
     /// Returns a column of the scaled inverse, which is found once.
     fn column(&self, column: usize) -> &[f64] {
         self.columns[column].get_or_init(|| {

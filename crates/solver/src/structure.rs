@@ -114,7 +114,7 @@ pub(crate) struct TermPlace {
     pub support: Option<Vec<u32>>,
 }
 
-/// Consecutive columns of a term that are consecutive in its group's coupling.
+/// Consecutive columns of a block of a term that are consecutive in its group's coupling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct CouplingRun {
     /// The first, among the term's columns.
@@ -261,7 +261,7 @@ impl Structure {
         }
     }
 
-    /// Groups terms by eliminated block, in the order in which the blocks are first seen.
+    /// Groups terms by eliminated block; groups that are coupled with the same columns follow each other.
     fn place_terms(&mut self, problem: &Problem<'_>, mut supports: Vec<Option<Vec<u32>>>) {
         let blocks = &problem.parameters.blocks;
         let is_eliminated = |block: usize| blocks[block].elimination == Elimination::First;
@@ -321,7 +321,7 @@ impl Structure {
                     } else if eliminated.is_some() && support.is_none() {
                         for (k, column) in self.reduced_columns[block.0].iter().enumerate() {
                             if let Ok(place) = columns.binary_search(column) {
-                                extend(&mut coupling, n_columns + k, place);
+                                extend(&mut coupling, n_columns + k, place, k == 0);
                             }
                         }
                     }
@@ -330,7 +330,7 @@ impl Structure {
                 for (k, &column) in support.iter().flatten().enumerate() {
                     let column = signature_columns[column as usize];
                     if let Ok(place) = columns.binary_search(&column) {
-                        extend(&mut coupling, k, place);
+                        extend(&mut coupling, k, place, k == 0);
                     }
                 }
                 let composite = problem.terms[term_idx].composite().filter(|_| support.is_none());
@@ -375,6 +375,8 @@ impl Structure {
             let runs = runs(&columns);
             self.groups.push(Group { eliminated, terms: first_term..self.terms.len(), columns, runs });
         }
+        // Groups with the same columns are eliminated together.
+        self.groups.sort_by(|a, b| a.columns.cmp(&b.columns));
     }
 
     /// Cuts the groups into chunks of about equal work.
@@ -401,10 +403,12 @@ impl Structure {
     }
 }
 
-/// Adds a column to the last run if it continues that, else begins a new one.
-fn extend(runs: &mut Vec<CouplingRun>, column: usize, place: usize) {
+/// Adds a column to the last run if it continues that and `is_first` of no block, else begins a new one.
+fn extend(runs: &mut Vec<CouplingRun>, column: usize, place: usize, is_first: bool) {
     match runs.last_mut() {
-        Some(run) if run.column + run.length == column && run.place + run.length == place => run.length += 1,
+        Some(run) if !is_first && run.column + run.length == column && run.place + run.length == place => {
+            run.length += 1;
+        }
         _ => runs.push(CouplingRun { column, place, length: 1 }),
     }
 }

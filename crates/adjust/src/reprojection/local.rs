@@ -164,10 +164,8 @@ impl Reprojection {
         for ([a, b], entry) in pairs.into_iter().zip(entries) {
             gram.add(column(a), column(b), entry);
         }
-        for k in 0..6 {
-            for l in k..6 {
-                gram.add(n + k, n + l, own[k][l]);
-            }
+        for (k, own) in own.iter().enumerate() {
+            own.iter().enumerate().skip(k).for_each(|(l, entry)| gram.add(n + k, n + l, *entry));
             gram.add(n + k, n + 6, gradient[k]);
             for (a, entry) in coupling[k * n..(k + 1) * n].iter().enumerate() {
                 gram.add(a, n + k, *entry);
@@ -314,9 +312,12 @@ impl ModelVisitor for Touch<'_> {
         let cam_from_target = term.chain.compose(values);
         let shape = term.shape(values);
         let axes = &term.points.axes;
-        for i in 0..term.points.n_points {
+        let bent = |i: usize| {
             let z = axes[2][i] + shape[0] * axes[3][i] + shape[1] * axes[4][i];
-            let point: [f64; 3] = (cam_from_target * Vector3::new(axes[0][i], axes[1][i], z)).into();
+            Vector3::new(axes[0][i], axes[1][i], z)
+        };
+        for point_in_target in (0..term.points.n_points).map(bent) {
+            let point: [f64; 3] = (cam_from_target * point_in_target).into();
             // Where the lens is not defined, the evaluation will tell.
             let Some(linear) = model.linearize_locally(lens, point) else { continue };
             let corner = (linear.first[0] - CORE) / 2;
@@ -392,7 +393,15 @@ fn accumulate<M: CameraModel, S: Simd, const SHAPE: usize, const SIDE: usize>(
     let (rotation, translation) = term.chain.linearize(values, &mut scratch.links);
     let lens = values.vector(term.blocks[0]);
     let translation = translation.into();
-    let context = Context { model, term, lens, rotation, translation, shape: term.shape(values) };
+    let context = Context {
+        model,
+        term,
+        lens,
+        by_focal: [1.0 / lens[0], 1.0 / lens[1]],
+        rotation,
+        translation,
+        shape: term.shape(values),
+    };
     let n_columns = n_row_columns(CORE, SHAPE);
     let stride = n_columns.next_multiple_of(BLOCK);
     let room = POINTS_AT_ONCE / S::F64_LANES * stride * S::F64_LANES;
@@ -481,7 +490,7 @@ impl<M: CameraModel> Context<'_, M> {
         rows: [&mut [S::f64s]; 2],
         loss: &mut f64,
     ) -> Option<(LocalLinear<Lanes<S>>, Lanes<S>)> {
-        let Self { model, term, lens, rotation, translation, shape } = self;
+        let Self { model, term, lens, by_focal, rotation, translation, shape } = self;
         let zero = Lanes::splat(simd, 0.0);
         let axes = &term.points.axes;
         let (x, y, mut z) =
@@ -499,10 +508,10 @@ impl<M: CameraModel> Context<'_, M> {
         }
         let linear = model.linearize_locally(lens, p)?;
         let mut scale = self.inverse_sigmas(simd, point);
-        let mut residuals = [zero; 2];
-        for row in 0..2 {
-            residuals[row] = (linear.pixel[row] - load(simd, &term.pixels[row], point)) * scale;
-        }
+        let mut residuals = [
+            (linear.pixel[0] - load(simd, &term.pixels[0], point)) * scale,
+            (linear.pixel[1] - load(simd, &term.pixels[1], point)) * scale,
+        ];
         if let Loss::Cauchy { sigmas } = term.loss {
             // As in the other rows: ρ(s) = c² ln(1 + s/c²), whose weight is 1 / (1 + s/c²).
             let square = residuals[0].mul_add(residuals[0], residuals[1] * residuals[1]);
@@ -517,7 +526,7 @@ impl<M: CameraModel> Context<'_, M> {
         for (row, columns) in rows.into_iter().enumerate() {
             let [a, b, c] = linear.d_point[row];
             let (a, b, c) = (a * scale, b * scale, c * scale);
-            let by_focal = (linear.pixel[row] - zero.like(lens[2 + row])).scale(1.0 / lens[row]);
+            let by_focal = (linear.pixel[row] - zero.like(lens[2 + row])).scale(by_focal[row]);
             columns[0] = (by_focal * scale).value;
             columns[1] = scale.value;
             // A left perturbation (w, v) moves the point by w × p + v, so w counts by p × gradient.
@@ -610,10 +619,10 @@ impl<S: Simd> LocalRows<'_, S> {
         // Weights along one axis are the sums over the other, where they sum to one.
         let mut across = [zero; SIDE];
         let mut down = [zero; SIDE];
-        for k in 0..SIDE * SIDE {
-            across[k % SIDE] = across[k % SIDE] + linear.weights[k];
-            down[k / SIDE] = down[k / SIDE] + linear.weights[k];
-            let array = linear.weights[k].to_array();
+        for (k, weight) in linear.weights.iter().enumerate().take(SIDE * SIDE) {
+            across[k % SIDE] = across[k % SIDE] + *weight;
+            down[k / SIDE] = down[k / SIDE] + *weight;
+            let array = weight.to_array();
             for lane in 0..S::F64_LANES {
                 knot_weights[lane][k] = array[lane];
             }
@@ -758,12 +767,12 @@ impl ViewChain {
                 }
                 let mut row = [0.0; 6];
                 row.copy_from_slice(&by_pose[..6]);
-                let mapped = own.map_or(row, |map| map.map_row(row));
+                let mapped = map_row(own, row);
                 for (k, mapped) in mapped.iter().enumerate() {
                     eliminated.coupling[k * n_support + place + axis] += mapped;
                 }
                 for (link, adjoint) in self.others().enumerate() {
-                    let mapped = adjoint.map_or(row, |map| map.map_row(row));
+                    let mapped = map_row(adjoint, row);
                     let first = 3 + grid.n_shape + 6 * link;
                     for (sum, mapped) in sums[first..first + 6].iter_mut().zip(mapped) {
                         *sum += mapped;
@@ -773,4 +782,14 @@ impl ViewChain {
         }
         true
     }
+}
+
+/// Returns derivatives by the composite pose as those by a link.
+fn map_row(map: &Option<LinkMap>, row: [f64; 6]) -> [f64; 6] {
+    let Some(map) = map else { return row };
+    let mut mapped = [0.0; 6];
+    for (entry, by_link) in row.iter().zip(map.matrix()) {
+        mapped.iter_mut().zip(by_link).for_each(|(mapped, by_link)| *mapped += entry * by_link);
+    }
+    mapped
 }
