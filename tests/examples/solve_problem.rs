@@ -5,8 +5,9 @@ use std::env;
 use std::path::Path;
 use std::time::Instant;
 
-use boresight_adjust::{AdjustOptions, Regularization, Rejection, optimize};
-use boresight_data::Dataset;
+use boresight_adjust::{AdjustOptions, Hold, Regularization, Rejection, optimize};
+use boresight_camera::Model;
+use boresight_data::{CameraId, Dataset};
 use boresight_solver::pulp::{Arch, Simd, WithSimd};
 use boresight_tests::mrcal_problem::MrcalProblem;
 use serde_json::json;
@@ -14,11 +15,12 @@ use serde_json::json;
 fn main() {
     let arguments: Vec<String> = env::args().collect();
     let [_, path, rest @ ..] = arguments.as_slice() else {
-        panic!("usage: solve_problem PROBLEM.npz [THREADS] [REPEATS]");
+        panic!("usage: solve_problem PROBLEM.npz [THREADS] [REPEATS] [LENS]");
     };
     let threads = rest.first().map_or(1, |text| text.parse().unwrap());
     let repeats: usize = rest.get(1).map_or(3, |text| text.parse().unwrap());
-    let mut problem = MrcalProblem::read(Path::new(path), "opencv8".parse().unwrap(), false).unwrap();
+    let lens: Model = rest.get(2).map_or("opencv8", String::as_str).parse().unwrap();
+    let mut problem = MrcalProblem::read(Path::new(path), lens, false).unwrap();
 
     problem.arrays = Default::default();
     let n_corners = problem.dataset.observation_count();
@@ -29,6 +31,11 @@ fn main() {
         rejection: Rejection::None,
         regularization: Regularization::Mrcal22,
         threads,
+        // The core of a splined lens is held: its knots can say the same.
+        holds: match lens.local_support() {
+            Some(_) => problem.dataset.cameras.ids().flat_map(core_holds).collect(),
+            None => Vec::new(),
+        },
         ..AdjustOptions::default()
     };
     let (mut cpu_s, mut wall_s) = (Vec::new(), Vec::new());
@@ -62,6 +69,10 @@ fn main() {
             "peak_rss_kb": peak_rss_kb, "rss_before_solve_kb": before_kb,
         })
     );
+}
+
+fn core_holds(camera: CameraId) -> impl Iterator<Item = Hold> {
+    (0..4).map(move |param| Hold::LensParam(camera, param))
 }
 
 /// Returns the floating-point operations that an iteration cannot do without: 950 for each corner, and

@@ -3,7 +3,7 @@
 
     /usr/bin/python3 mrcal_solve.py PROBLEM.npz [--repeat N] [--solution OUT.npz] [--count]
 
-Regularisation is on, outlier rejection off, everything is estimated. `cpu_s` is the CPU time of
+Regularisation is on, outlier rejection off, everything but the core of a splined lens is estimated. `cpu_s` is the CPU time of
 mrcal.optimize() alone: neither the import nor the loading is in it. `--count` adds the number of
 evaluations, from one more, untimed solve. mrcal's Python module belongs to the system's Python.
 """
@@ -62,6 +62,8 @@ def arguments(problem):
         "calibration_object_spacing": float(problem["spacing"]),
         "do_apply_regularization": True,
         "do_apply_outlier_rejection": False,
+        # The core of a splined lens is held, as mrcal-calibrate-cameras does: its knots can say the same.
+        "do_optimize_intrinsics_core": "SPLINED" not in str(problem["lensmodel"]),
         "verbose": False,
     }
 

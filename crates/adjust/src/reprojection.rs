@@ -4,6 +4,8 @@
 //! mapped to each link of the chain by its adjoint; see section 6 of the design. J is never formed:
 //! rows live in scratch as long as it takes to multiply them.
 
+mod local;
+
 use std::sync::Arc;
 
 use boresight_camera::{CameraModel, Model, ModelVisitor};
@@ -13,7 +15,8 @@ use boresight_solver::gram::{BLOCK, Previous, Row};
 use boresight_solver::lanes::{Lanes, MAX_LANES};
 use boresight_solver::pulp::{Arch, Simd, WithSimd};
 use boresight_solver::{
-    BlockId, CompositeColumns, CompositeTerm, GramMut, Scratch, Term, Values, Weighed, linearize_composite,
+    BlockId, CompositeColumns, CompositeTerm, GramMut, LocalTerm, Scratch, Term, Values, Weighed,
+    linearize_composite,
 };
 
 use crate::chain::Chain;
@@ -147,7 +150,7 @@ impl Reprojection {
             n_shape,
             chain,
             points,
-            layout: layouts.get(model.param_count(), n_shape),
+            layout: layouts.get(n_whole_params(model), n_shape),
             pixels,
             weights: Weights::Uniform(0.0),
             n_rows: 0,
@@ -239,11 +242,18 @@ impl Term for Reprojection {
     }
 
     fn linearize(&self, values: Values<'_>, gram: &mut GramMut<'_>, scratch: &mut Scratch) -> Option<f64> {
-        linearize_composite(self, values, gram, scratch)
+        match self.local() {
+            None => linearize_composite(self, values, gram, scratch),
+            Some(term) => self.linearize_whole(term, values, gram, scratch),
+        }
     }
 
     fn composite(&self) -> Option<&dyn CompositeTerm> {
-        Some(self)
+        self.model.local_support().is_none().then_some(self)
+    }
+
+    fn local(&self) -> Option<&dyn LocalTerm> {
+        self.model.local_support().map(|_| self as &dyn LocalTerm)
     }
 }
 
@@ -489,6 +499,11 @@ impl<M: CameraModel> Context<'_, M> {
             }
         }
     }
+}
+
+/// Returns the number of lens parameters that every point depends on.
+fn n_whole_params(model: Model) -> usize {
+    if model.local_support().is_some() { 4 } else { model.param_count() }
 }
 
 /// Returns the number of columns of a row: the core, the pose, the lens, the shape, the residual.

@@ -3,10 +3,12 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use boresight_camera::{MAX_PARAMS, Model, ParamGroup};
+use boresight_camera::{LocalSupport, Model, ParamGroup};
 use boresight_data::{CameraId, Dataset, FrameId, Id, IdVec, Observation, Scene, Shape, TargetId};
 use boresight_geometry::Pose;
-use boresight_solver::{BlockId, Elimination, Parameters, Problem, Term, Values, VectorPrior};
+use boresight_solver::{
+    Belief, BlockId, Elimination, Parameters, Problem, SparsePrior, Term, Values, VectorPrior,
+};
 
 use crate::chain::{Chain, Link};
 use crate::error::Error;
@@ -19,6 +21,9 @@ const RATIONAL_SIGMA: f64 = 2.0;
 /// Expected size of thin-prism coefficients, and of tilts in radians.
 const PRISM_AND_TILT_SIGMA: f64 = 0.1;
 
+/// Expected size of what a spline's knot moves the image by, in units of the focal length.
+const SPLINE_SIGMA: f64 = 1.0;
+
 /// The blocks and terms of a rig looking at targets.
 pub(crate) struct RigProblem {
     pub parameters: Parameters,
@@ -28,6 +33,8 @@ pub(crate) struct RigProblem {
     /// The terms, and for each the view it is of.
     pub views: Vec<(usize, Reprojection)>,
     pub priors: Vec<VectorPrior>,
+    /// Those of lenses with very many parameters.
+    pub sparse_priors: Vec<SparsePrior>,
     pub robot: RobotPart,
 }
 
@@ -82,11 +89,12 @@ impl RigProblem {
             targets,
             views: Vec::new(),
             priors: Vec::new(),
+            sparse_priors: Vec::new(),
             robot,
         };
         problem.add_views(dataset, scene, options.robot_noise)?;
-        problem.add_regularization(dataset, scene, options.regularization);
         problem.hold(&options.holds);
+        problem.add_regularization(dataset, scene, options.regularization);
         Ok(problem)
     }
 
@@ -159,6 +167,21 @@ impl RigProblem {
         for (blocks, camera) in self.cameras.iter().zip(&scene.rig.cameras) {
             let (Some(blocks), Some(camera)) = (blocks, camera) else { continue };
             let camera = &camera.camera;
+            if let Some(grid) = camera.model.local_support() {
+                let mut beliefs = match regularization {
+                    Regularization::None => continue,
+                    Regularization::Default => spline_beliefs(camera.params.len()),
+                    Regularization::Mrcal22 => {
+                        mrcal_spline_beliefs(&grid, n_rows, n_cameras, camera.image_size)
+                    }
+                };
+                // mrcal has these rows for parameters that it solves for, so that others cost nothing.
+                beliefs.retain(|belief| {
+                    belief.factors.iter().any(|&(column, _)| !self.parameters.is_held(blocks.lens, column))
+                });
+                self.sparse_priors.push(SparsePrior::new(blocks.lens, camera.params.len(), beliefs));
+                continue;
+            }
             let rows = match regularization {
                 Regularization::None => Vec::new(),
                 Regularization::Default => default_rows(&camera.model.param_groups()),
@@ -216,7 +239,9 @@ impl RigProblem {
     pub(crate) fn problem(&self) -> Result<Problem<'_>, Error> {
         let views = self.views.iter().map(|(_, term)| term as &dyn Term);
         let priors = self.priors.iter().map(|prior| prior as &dyn Term);
-        Ok(Problem::new(&self.parameters, views.chain(priors).chain(self.robot.terms()).collect())?)
+        let sparse_priors = self.sparse_priors.iter().map(|prior| prior as &dyn Term);
+        let terms = views.chain(priors).chain(sparse_priors).chain(self.robot.terms());
+        Ok(Problem::new(&self.parameters, terms.collect())?)
     }
 
     /// Returns the names of a camera's lens parameters.
@@ -260,6 +285,44 @@ fn default_rows(groups: &[ParamGroup]) -> Vec<(usize, f64, f64)> {
         _ => None,
     };
     groups.iter().enumerate().filter_map(|(i, group)| Some((i, 0.0, 1.0 / sigma(group)?))).collect()
+}
+
+/// Returns mild beliefs about the knots of a spline, many of which may be seen by nothing.
+fn spline_beliefs(n_params: usize) -> Vec<Belief> {
+    (4..n_params).map(|column| Belief { factors: vec![(column, 1.0 / SPLINE_SIGMA)], mean: 0.0 }).collect()
+}
+
+/// Returns the regularisation rows of mrcal up to 2.5.2 for a splined lens, whose residuals are in pixels.
+///
+/// The scale of the knots is 0.2; across the direction from the centre of the grid they weigh ten times
+/// as much as along it.
+fn mrcal_spline_beliefs(
+    grid: &LocalSupport,
+    n_rows: usize,
+    n_cameras: usize,
+    image_size: [u32; 2],
+) -> Vec<Belief> {
+    let share = n_rows as f64 * 0.005 / 2.0 / n_cameras as f64;
+    let n_knots = grid.columns * grid.rows;
+    let along = (share / (2.0 * n_knots as f64 * 0.2 * 0.2)).sqrt();
+    let mut beliefs = Vec::new();
+    for knot in 0..n_knots {
+        let (row, column) = (knot / grid.columns, knot % grid.columns);
+        let x = 2.0 * column as f64 + 1.0 - grid.columns as f64;
+        let y = 2.0 * row as f64 + 1.0 - grid.rows as f64;
+        let length = x.hypot(y);
+        let (x, y, across) =
+            if length > 0.0 { (x / length, y / length, 10.0 * along) } else { (1.0, 0.0, along) };
+        let first = 4 + 2 * knot;
+        beliefs.push(Belief { factors: vec![(first, along * x), (first + 1, along * y)], mean: 0.0 });
+        beliefs.push(Belief { factors: vec![(first, across * y), (first + 1, -across * x)], mean: 0.0 });
+    }
+    let centre = (share / (2.0 * 500.0 * 500.0)).sqrt();
+    for (axis, &size) in image_size.iter().enumerate() {
+        let mean = centre * (f64::from(size) - 1.0) / 2.0;
+        beliefs.push(Belief { factors: vec![(2 + axis, centre)], mean });
+    }
+    beliefs
 }
 
 /// Returns the regularisation rows of mrcal up to 2.5.2, whose residuals are in pixels.
@@ -309,13 +372,6 @@ fn check(dataset: &Dataset, scene: &Scene) -> Result<(), Error> {
     for (what, found, need) in counts {
         if found != need {
             return Err(Error::SeedMismatch { what, found, need });
-        }
-    }
-    for (camera, rig_camera) in scene.rig.cameras.enumerate() {
-        let Some(rig_camera) = rig_camera else { continue };
-        let (model, found) = (rig_camera.camera.model, rig_camera.camera.params.len());
-        if found > MAX_PARAMS {
-            return Err(Error::TooManyParams { camera, model, found, most: MAX_PARAMS });
         }
     }
     for (view_idx, view) in dataset.views.iter().enumerate() {

@@ -409,10 +409,7 @@ impl<T: Scalar> Patch<T> {
                 let (mut sum, mut slope) = (zero, zero);
                 for column in 0..=N {
                     let knot = row * row_stride + 2 * column + axis;
-                    let mut coefficient = zero.like(params[self.first[0] + knot]);
-                    for lane in 1..T::LANES {
-                        coefficient = coefficient.with_lane(lane, zero.like(params[self.first[lane] + knot]));
-                    }
+                    let coefficient = zero.look_up(&params[knot..], &self.first);
                     sum = self.across[column].mul_add(coefficient, sum);
                     slope = self.across_slope[column].mul_add(coefficient, slope);
                 }
@@ -449,14 +446,15 @@ fn cells<T: Scalar, const N: usize>(coordinate: T, n_knots: u16) -> Option<([usi
     }
     let last = usize::from(n_knots) - N;
     let mut first = [0; MAX_LANES];
-    let mut origin = coordinate.like(0.0);
-    for (lane, first) in first[..T::LANES].iter_mut().enumerate() {
+    let mut origins = [0.0; MAX_LANES];
+    for lane in 0..T::LANES {
         // Negative numbers become zero, on the safe side of the clamp.
         let cell = ((coordinate.lane(lane) + offset) as usize).clamp(1, last);
-        *first = cell - 1;
-        origin = origin.with_lane(lane, coordinate.like(cell as f64));
+        first[lane] = cell - 1;
+        origins[lane] = cell as f64;
     }
-    Some((first, coordinate - origin))
+    const LANES: [usize; MAX_LANES] = [0, 1, 2, 3, 4, 5, 6, 7];
+    Some((first, coordinate - coordinate.look_up(&origins, &LANES)))
 }
 
 /// Returns the weights of the `N + 1` knots at `t` in a cell, and their derivatives times `per_unit`.

@@ -2,7 +2,7 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use crate::Scalar;
+use crate::{MAX_LANES, Scalar};
 
 /// A value over any scalar `T`, with its derivatives along `N` directions.
 ///
@@ -180,6 +180,11 @@ impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
             value: self.value.with_lane(lane, other.value),
             derivative: each!(i, self.derivative[i].with_lane(lane, other.derivative[i])),
         }
+    }
+
+    #[inline(always)]
+    fn look_up(self, table: &[f64], places: &[usize; MAX_LANES]) -> Self {
+        Self::fixed(self.value.look_up(table, places))
     }
 
     #[inline(always)]

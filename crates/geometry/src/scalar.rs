@@ -51,6 +51,16 @@ pub trait Scalar:
     /// With this a formula looks numbers up in a table, where each lane may want another entry.
     fn with_lane(self, lane: usize, other: Self) -> Self;
 
+    /// Returns, in each lane, the number of `table` at that lane's place, with zero derivatives.
+    #[inline(always)]
+    fn look_up(self, table: &[f64], places: &[usize; MAX_LANES]) -> Self {
+        let mut found = self.like(table[places[0]]);
+        for (lane, &place) in places.iter().enumerate().take(Self::LANES).skip(1) {
+            found = found.with_lane(lane, self.like(table[place]));
+        }
+        found
+    }
+
     /// Returns `self * factor`.
     #[inline(always)]
     fn scale(self, factor: f64) -> Self {

@@ -216,7 +216,17 @@ pub fn linearize_composite(
     scratch: &mut Scratch,
 ) -> Option<f64> {
     let Weighed { factor, cost } = term.sum_products(values, scratch)?;
-    let columns = &**term.columns();
+    expand_composite(term.columns(), factor, gram, scratch);
+    Some(cost)
+}
+
+/// Writes what the sums and links in `scratch` amount to, times `factor`, as a plain matrix of all columns.
+pub fn expand_composite(
+    columns: &CompositeColumns,
+    factor: f64,
+    gram: &mut GramMut<'_>,
+    scratch: &mut Scratch,
+) {
     let n_own = columns.n_own;
     let last = gram.size() - 1;
     let place = |column: usize| if column == n_own { last } else { column };
@@ -246,7 +256,6 @@ pub fn linearize_composite(
             }
         }
     }
-    Some(cost)
 }
 
 /// Sums over composite terms of one kind.

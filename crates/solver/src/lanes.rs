@@ -157,6 +157,15 @@ impl<S: Simd> Scalar for Lanes<S> {
     }
 
     #[inline(always)]
+    fn look_up(self, table: &[f64], places: &[usize; MAX_LANES]) -> Self {
+        let mut array = [0.0; MAX_LANES];
+        for lane in 0..Self::COUNT {
+            array[lane] = table[places[lane]];
+        }
+        Self::from_array(self.simd, &array)
+    }
+
+    #[inline(always)]
     fn with_lane(self, lane: usize, other: Self) -> Self {
         let mut array = self.to_array();
         array[lane] = other.to_array()[lane];
@@ -195,6 +204,9 @@ mod tests {
             let last = Lanes::<S>::COUNT - 1;
             let mixed = x.with_lane(last, x.like(7.0));
             assert!((0..last).all(|i| mixed.lane(i) == input[i]) && mixed.lane(last) == 7.0);
+            let places = [3, 0, 2, 1, 1, 0, 3, 2];
+            let found = x.look_up(&[10.0, 11.0, 12.0, 13.0], &places);
+            assert!((0..Lanes::<S>::COUNT).all(|i| found.lane(i) == 10.0 + places[i] as f64));
             assert!(x.like(1.0).all_above(0.5) && !x.like(f64::NAN).all_above(0.5));
             if Lanes::<S>::COUNT > 1 {
                 assert!(!x.all_above(-1.0));

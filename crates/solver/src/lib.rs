@@ -24,12 +24,14 @@ mod reduced;
 mod scatter;
 mod solve;
 mod sparse;
+mod sparse_prior;
 mod step;
 mod stop;
 mod structure;
 
 pub use composite::{
-    CompositeColumns, CompositeTerm, LinkMap, Links, MAX_LINKS, Weighed, linearize_composite,
+    CompositeColumns, CompositeTerm, LinkMap, Links, MAX_LINKS, Weighed, expand_composite,
+    linearize_composite,
 };
 pub use covariance::{Covariance, LinearFunctions, covariance};
 pub use error::Error;
@@ -40,4 +42,5 @@ pub use prior::{PosePrior, VectorPrior};
 pub use problem::{BlockId, Elimination, GramMut, Parameters, Problem, Scratch, Term, TermKind, Values};
 pub use pulp;
 pub use solve::{Solution, solve, solve_observed};
+pub use sparse_prior::{Belief, SparsePrior};
 pub use stop::Stop;

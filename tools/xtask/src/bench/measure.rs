@@ -48,7 +48,7 @@ pub(crate) fn measure(solvers: &[Solver], problems: &[Problem], rounds: usize) -
         for (problem, measured) in problems.iter().zip(&mut measured) {
             eprintln!("bench: round {} of {rounds}, {}", round + 1, problem.label);
             for (solver, (_, answers)) in solvers.iter().zip(&mut measured.solvers) {
-                if round == 0 || solver.is_interleaved {
+                if solver.can_solve(problem) && (round == 0 || solver.is_interleaved) {
                     answers.push(solve(solver, problem, 1, round == 0)?);
                 }
             }

@@ -12,6 +12,10 @@ const CONFORMANCE: &str = "../shared/conformance/mrcal/problems";
 /// Label, cameras, frames: a camera alone, a pair, a rig. All have 10x10 boards and the lens opencv8.
 const PROBLEMS: &[(&str, usize, usize)] = &[("1x50", 1, 50), ("2x200", 2, 200), ("8x200", 8, 200)];
 
+/// Label, name and lens of a problem with a splined lens, which can only be had with the conformance
+/// data. It has 14x14 boards; the core is held.
+const SPLINED: (&str, &str, &str) = ("1x200 splined", "c1_f200_b14_splined", "splined3:30x18:120deg");
+
 /// A problem on disk.
 #[derive(Clone, Debug)]
 pub(crate) struct Problem {
@@ -19,8 +23,10 @@ pub(crate) struct Problem {
     pub label: &'static str,
     pub n_cameras: usize,
     pub npz: PathBuf,
-    /// For Ceres.
-    pub bin: PathBuf,
+    /// For Ceres, which has no splined lens.
+    pub bin: Option<PathBuf>,
+    /// The lens model, as we call it.
+    pub lens: &'static str,
 }
 
 /// Finds the problems in `folder` or in the conformance data, or makes such as there are none.
@@ -46,7 +52,14 @@ pub(crate) fn prepare(folder: Option<PathBuf>) -> anyhow::Result<Vec<Problem>> {
         };
         let bin = work.join(format!("{name}.bin"));
         run(make_problem(&python).arg("convert").arg(&npz).arg(&bin))?;
-        problems.push(Problem { label, n_cameras, npz, bin });
+        problems.push(Problem { label, n_cameras, npz, bin: Some(bin), lens: "opencv8" });
+    }
+    let (label, name, lens) = SPLINED;
+    let npz = folder.as_deref().unwrap_or(&beside).join(format!("{name}.npz"));
+    if npz.is_file() {
+        problems.push(Problem { label, n_cameras: 1, npz, bin: None, lens });
+    } else {
+        eprintln!("bench: {label} is left out, {} does not exist", npz.display());
     }
     Ok(problems)
 }

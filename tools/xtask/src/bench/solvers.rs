@@ -12,6 +12,7 @@ use crate::process::{cargo, command, reference_environment, run, succeeds, targe
 const OPENCV_PAIR_FRAMES: usize = 50;
 
 const OURS: &str = "Boresight";
+const MRCAL: &str = "mrcal";
 
 /// A solver that is ready to run.
 pub(crate) struct Solver {
@@ -44,6 +45,11 @@ pub(crate) fn prepare() -> anyhow::Result<(Vec<Solver>, Vec<Missing>)> {
 }
 
 impl Solver {
+    /// Tells whether the solver has the problem's lens.
+    pub(crate) fn can_solve(&self, problem: &Problem) -> bool {
+        problem.bin.is_some() || self.name == OURS || self.name == MRCAL
+    }
+
     /// Returns the command that solves a problem `repeat` times and prints one line of JSON.
     pub(crate) fn command(&self, problem: &Problem, repeat: usize, threads: usize, first: bool) -> Command {
         let mut solve = command(&self.program);
@@ -51,13 +57,14 @@ impl Solver {
         for variable in ["OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"] {
             solve.env(variable, "1");
         }
-        solve.args(self.script).arg(if self.name == "Ceres" { &problem.bin } else { &problem.npz });
+        let input = problem.bin.as_ref().filter(|_| self.name == "Ceres").unwrap_or(&problem.npz);
+        solve.args(self.script).arg(input);
         if self.name == OURS {
-            solve.args([threads.to_string(), repeat.to_string()]);
+            solve.args([threads.to_string(), repeat.to_string()]).arg(problem.lens);
             return solve;
         }
         solve.args(["--repeat", &repeat.to_string()]);
-        if self.name == "mrcal" && first {
+        if self.name == MRCAL && first {
             // Counting takes another solve, which is not timed.
             solve.arg("--count");
         }
@@ -79,9 +86,9 @@ fn mrcal() -> Result<Solver, Missing> {
     let python = PathBuf::from("/usr/bin/python3");
     if succeeds(command(&python).args(["-c", "import mrcal"])) {
         let script = Some("tools/bench/mrcal_solve.py");
-        return Ok(Solver { name: "mrcal", program: python, script, is_interleaved: true });
+        return Ok(Solver { name: MRCAL, program: python, script, is_interleaved: true });
     }
-    Err(Missing { name: "mrcal", install: "apt-get install mrcal python3-mrcal".to_owned() })
+    Err(Missing { name: MRCAL, install: "apt-get install mrcal python3-mrcal".to_owned() })
 }
 
 fn ceres() -> Result<Solver, Missing> {
