@@ -6,6 +6,9 @@
 mod golden {
     mod monte_carlo;
     mod mrcal_problems;
+    mod objective;
     mod opencv_corners;
+    mod poses;
     mod synthetic_rigs;
+    mod triangulation;
 }

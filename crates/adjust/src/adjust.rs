@@ -59,7 +59,7 @@ pub fn optimize(dataset: &Dataset, seed: &Scene, options: &AdjustOptions) -> Res
     let problem = rig.problem()?;
     let solve_options = solve_options(options, options.decrease_below, true);
     let solution = boresight_solver::solve(&problem, &solve_options).map_err(|error| named(error, &rig))?;
-    let scene = rig.scene(seed, solution.values(&problem));
+    let scene = rig.scene(dataset, seed, solution.values(&problem));
     Ok(Optimum { scene, solution })
 }
 
@@ -126,7 +126,7 @@ impl Passes<'_> {
 }
 
 /// Returns the options of one solve; only the last pass is worth a checkpoint.
-fn solve_options(options: &AdjustOptions, decrease_below: f64, is_last: bool) -> SolveOptions {
+pub(crate) fn solve_options(options: &AdjustOptions, decrease_below: f64, is_last: bool) -> SolveOptions {
     SolveOptions {
         decrease_below,
         max_iterations: options.max_iterations,
@@ -139,7 +139,7 @@ fn solve_options(options: &AdjustOptions, decrease_below: f64, is_last: bool) ->
 }
 
 /// Says in a caller's words what the solver says in its own.
-fn named(error: boresight_solver::Error, rig: &RigProblem) -> Error {
+pub(crate) fn named(error: boresight_solver::Error, rig: &RigProblem) -> Error {
     match error {
         boresight_solver::Error::UndefinedStart { term_idx } => match rig.views.get(term_idx) {
             Some((view_idx, _)) => Error::SeedOutOfView { view_idx: *view_idx },

@@ -1,7 +1,7 @@
 //! A chain of poses from target to camera, and how each link moves its end.
 
-use boresight_geometry::{Matrix6, Pose};
-use boresight_solver::{BlockId, Values};
+use boresight_geometry::{Matrix3, Pose, Vector3};
+use boresight_solver::{BlockId, LinkMap, Links, Values};
 
 /// One factor of `cam_from_target`, from left to right.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,26 +35,28 @@ impl Chain {
         self.links.iter().fold(Pose::identity(), |prefix, link| prefix * link.pose(values))
     }
 
-    /// Calls `write` for each block in order with the matrix that maps a left perturbation of the
-    /// block's pose to the left perturbation of `cam_from_target` that it amounts to;
-    /// `None` is the identity, which spares the products.
-    pub fn each_adjoint(&self, values: Values<'_>, mut write: impl FnMut(Option<&Matrix6<f64>>)) {
-        let mut prefix: Option<Pose> = None;
+    /// Returns `cam_from_target`, and leaves in `links` how each block's left perturbation moves it.
+    pub fn linearize(&self, values: Values<'_>, links: &mut Links) -> (Matrix3<f64>, Vector3<f64>) {
+        links.clear();
+        // No first factor spares the products with the identity.
+        let mut prefix: Option<(Matrix3<f64>, Vector3<f64>)> = None;
         for link in &self.links {
             let pose = link.pose(values);
-            let next = prefix.map_or(pose, |prefix| prefix * pose);
+            let (rotation, translation) = (pose.rotation_matrix(), pose.translation);
+            let next = match &prefix {
+                None => (rotation, translation),
+                Some((before, shift)) => (before * rotation, before * translation + shift),
+            };
             match link {
-                Link::Block(_) => match &prefix {
-                    None => write(None),
-                    // A exp(d) X = exp(Ad(A) d) A X.
-                    Some(prefix) => write(Some(&prefix.adjoint())),
-                },
+                // A exp(d) X = exp(Ad(A) d) A X.
+                Link::Block(_) => links.push(prefix.as_ref().map(|(r, t)| LinkMap::adjoint(r, t, 1.0))),
                 // A (exp(d) X)⁻¹ = A X⁻¹ exp(-d) = exp(-Ad(A X⁻¹) d) A X⁻¹.
-                Link::Inverse(_) => write(Some(&-next.adjoint())),
+                Link::Inverse(_) => links.push(Some(LinkMap::adjoint(&next.0, &next.1, -1.0))),
                 Link::Known(_) => {}
             }
             prefix = Some(next);
         }
+        prefix.unwrap_or((Matrix3::identity(), Vector3::zeros()))
     }
 }
 
@@ -70,7 +72,7 @@ impl Link {
 
 #[cfg(test)]
 mod tests {
-    use boresight_geometry::{Vector3, Vector6};
+    use boresight_geometry::{Matrix6, Vector6};
     use boresight_solver::{Elimination, Parameters};
 
     use super::*;
@@ -90,10 +92,14 @@ mod tests {
             ],
         };
         let start = chain.compose(parameters.values());
-        let mut adjoints = Vec::new();
-        chain.each_adjoint(parameters.values(), |adjoint| {
-            adjoints.push(adjoint.copied().unwrap_or_else(Matrix6::identity));
-        });
+        let mut links = Links::default();
+        let (rotation, translation) = chain.linearize(parameters.values(), &mut links);
+        assert!((rotation - start.rotation_matrix()).norm() < 1e-14);
+        assert!((translation - start.translation).norm() < 1e-14);
+        let adjoint = |map: &Option<LinkMap>| {
+            map.map_or(Matrix6::identity(), |map| Matrix6::from_fn(|k, l| map.matrix()[k][l]))
+        };
+        let adjoints: Vec<Matrix6<f64>> = links.maps().iter().map(adjoint).collect();
         let step = 1e-6;
         for (which, adjoint) in adjoints.iter().enumerate() {
             for column in 0..6 {

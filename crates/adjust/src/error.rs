@@ -36,6 +36,18 @@ pub enum Error {
         /// Its target.
         target: TargetId,
     },
+    /// A lens has more parameters than the solve takes.
+    #[error("lens model {model} of camera {camera} has {found} parameters; the solve takes at most {most}")]
+    TooManyParams {
+        /// The camera.
+        camera: CameraId,
+        /// Its lens model.
+        model: boresight_camera::Model,
+        /// The number of its parameters.
+        found: usize,
+        /// The most that the solve takes.
+        most: usize,
+    },
     /// An observation has a sigma that is not positive.
     #[error(
         "observation {observation_idx} of view {view_idx} has a sigma of {sigma_px} px; it must be positive"

@@ -8,12 +8,17 @@
 mod adjust;
 mod chain;
 mod error;
+mod leave_one_out;
+mod loose;
+mod motions;
 mod object_pose;
 mod options;
 mod rejection;
 mod report;
 mod reprojection;
 mod rig_problem;
+mod robot;
+mod robot_noise;
 mod sighted_point;
 #[cfg(test)]
 mod test_numbers;
@@ -22,9 +27,12 @@ mod touch;
 pub use adjust::{Optimum, adjust, optimize};
 pub use chain::{Chain, Link};
 pub use error::Error;
+pub use leave_one_out::{HeldOut, SightErrors, leave_one_out, sight_errors};
 pub use object_pose::{ObjectPose, ObjectPoseError, SeenPoint, assessed, object_pose};
-pub use options::{AdjustOptions, Hold, Loss, Observer, Progress, Regularization, Rejection};
+pub use options::{AdjustOptions, Hold, Loss, Observer, Progress, Regularization, Rejection, RobotNoise};
 pub use reprojection::{Layouts, Reprojection, TargetPoints};
+pub use rig_problem::mrcal22_rows;
+pub use robot_noise::{EstimatedNoise, estimate_robot_noise};
 pub use sighted_point::{Sight, SightedPoint, SightedPointError, sighted_point};
 pub use touch::{
     Heights, PlaneFunction, Position, TipKnowledge, Touch, TouchError, TouchFit, TouchLens, TouchOptions,

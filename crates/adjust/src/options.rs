@@ -19,6 +19,8 @@ pub struct AdjustOptions {
     pub regularization: Regularization,
     /// What is held at its seed. Empty estimates all that the data constrain.
     pub holds: Vec<Hold>,
+    /// How far the robot's readings are off; `None` takes them as exact.
+    pub robot_noise: Option<RobotNoise>,
     /// The number of threads; 0 takes one for each core. The result does not depend on it.
     pub threads: usize,
     /// Stop when the model predicts a decrease of chi-squared below this many residual variances.
@@ -40,6 +42,7 @@ impl Default for AdjustOptions {
             rejection: Rejection::Beyond { sigmas: 4.0 },
             regularization: Regularization::Default,
             holds: Vec::new(),
+            robot_noise: None,
             threads: 0,
             decrease_below: 1e-6,
             max_iterations: 200,
@@ -88,6 +91,18 @@ pub enum Regularization {
     Mrcal22,
 }
 
+/// The standard deviations of a robot's readings, each axis alike and independent of all others.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RobotNoise {
+    /// Of the rotation about each axis, in radians.
+    pub rotation_rad: f64,
+    /// Of the flange's position along each axis, in metres.
+    pub translation_m: f64,
+    /// Of each number of the linear map by which all positions are off together, see
+    /// [`Stretch`](boresight_data::Stretch); `None` takes them as right on the whole.
+    pub stretch: Option<f64>,
+}
+
 /// Something that is held at its seed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hold {
@@ -99,6 +114,11 @@ pub enum Hold {
     CamFromRig(CameraId),
     /// Where the target stood in a frame, such as a surveyed board.
     RigFromTarget(FrameId),
+    /// The rig's pose on the robot's flange or in its base.
+    CarrierFromRig,
+    /// The height, along z of the robot's base, of what stands in the base: the target's, or a fixed rig's.
+    /// A robot that turns about that axis only cannot tell it.
+    BaseHeight,
     /// The shapes of all targets.
     Shapes,
 }

@@ -3,13 +3,15 @@
 use std::collections::BTreeMap;
 
 use boresight_data::{
-    Calibration, CameraFit, CameraId, Dataset, Id, Provenance, RejectionReason, Scene, SolveRecord, TargetId,
-    Uncertainty, ViewFit,
+    Calibration, CameraFit, CameraId, Dataset, Id, Motions, Mounting, Provenance, RejectionReason, Scene,
+    SolveRecord, TargetId, Uncertainty, ViewFit,
 };
 use boresight_geometry::Vector3;
 use boresight_solver::{BlockId, Covariance, Solution, SolveOptions, Stop, covariance};
 
 use crate::error::Error;
+use crate::loose::{in_words, loose_directions};
+use crate::motions::motions;
 use crate::options::{AdjustOptions, Regularization};
 use crate::rig_problem::RigProblem;
 
@@ -48,7 +50,7 @@ pub(crate) fn report(
     options: &AdjustOptions,
 ) -> Result<Calibration, Error> {
     let values = rig.parameters.values();
-    let scene = rig.scene(seed, values);
+    let scene = rig.scene(dataset, seed, values);
     let mut cameras: boresight_data::IdVec<CameraId, CameraFit> = dataset
         .cameras
         .iter()
@@ -141,6 +143,7 @@ pub(crate) fn report(
             stop: stop.to_string(),
             converged: stop.is_converged(),
         },
+        held_out: None,
         provenance: Provenance::default(),
     })
 }
@@ -172,14 +175,17 @@ fn uncertainty(
                     columns.iter().find(|(_, known)| *known == place).map(|(name, _)| name.clone())
                 })
                 .collect();
+            let names: Vec<&str> = names.iter().map(String::as_str).collect();
             let why = format!(
-                "the data do not constrain {}: reciprocal condition {reciprocal_condition:.1e} is below {limit:.1e}",
-                if names.is_empty() { "the parameters".to_owned() } else { names.join(", ") }
+                "the data do not constrain {}: reciprocal condition {reciprocal_condition:.1e} is below {limit:.1e}; {}",
+                if names.is_empty() { "the parameters".to_owned() } else { names.join(", ") },
+                in_words(&names)
             );
             return Ok((unavailable(why), None));
         }
         Err(boresight_solver::Error::LooseBlock { block }) => {
-            let frame = rig.frames.enumerate().find(|(_, frame)| **frame == Some(block));
+            let blocks = rig.frames.enumerate().chain(rig.robot.arms.enumerate());
+            let frame = { blocks }.find(|(_, frame)| **frame == Some(block));
             let place = frame.map_or("a pose".to_owned(), |(id, _)| {
                 format!("the pose of frame {}", dataset.frames[id].name)
             });
@@ -194,19 +200,44 @@ fn uncertainty(
     let variance_factor = costs[0] / degrees_of_freedom as f64;
     let free: Vec<&(String, (BlockId, usize))> =
         columns.iter().filter(|(_, (block, column))| !rig.parameters.is_held(*block, *column)).collect();
+    let places: Vec<(BlockId, usize)> = free.iter().map(|(_, place)| *place).collect();
+    let names: Vec<String> = free.iter().map(|(name, _)| name.clone()).collect();
+    let scaled = |entry: f64| variance_factor * entry;
     let mut entries = Vec::with_capacity(free.len() * free.len());
-    for (_, a) in &free {
-        entries.extend(free.iter().map(|(_, b)| variance_factor * covariance.between(*a, *b)));
+    for a in &places {
+        entries.extend(places.iter().map(|b| scaled(covariance.between(*a, *b))));
     }
+    let n = names.len();
+    let bad = (0..n).find(|i| !(entries[i * (n + 1)] > 0.0 && entries[i * (n + 1)].is_finite()));
+    if let Some(bad) = bad {
+        let why = format!("the variance of {} came out as {:e}", names[bad], entries[bad * (n + 1)]);
+        return Ok((unavailable(why), Some(costs)));
+    }
+    let (motion_names, functions) = motions(dataset, rig, rig.parameters.values());
+    let motion_entries = covariance.of_functions(&functions, &places).into_iter().map(scaled).collect();
+    // Relative to the noise, as the covariance of the solver is.
+    let information: Vec<f64> =
+        places.iter().map(|&place| covariance.information(place).unwrap_or(0.0) / variance_factor).collect();
     let uncertainty = Uncertainty {
         noise_factor: variance_factor.sqrt(),
         degrees_of_freedom,
-        names: free.iter().map(|(name, _)| name.clone()).collect(),
+        loose: loose_directions(&names, &entries, &information),
+        regularization_information: regularization_information(rig, &places),
+        motions: Motions { names: motion_names, covariance: motion_entries },
+        names,
         covariance: entries,
         unavailable: None,
         baselines_m: baselines(dataset, rig, &covariance, variance_factor),
     };
     Ok((uncertainty, Some(costs)))
+}
+
+/// Returns the inverse square of each column's sigma in the regularisation; zero where it has none.
+fn regularization_information(rig: &RigProblem, places: &[(BlockId, usize)]) -> Vec<f64> {
+    let information = |&(block, column): &(BlockId, usize)| -> f64 {
+        rig.priors.iter().map(|prior| prior.information(block, column)).sum()
+    };
+    places.iter().map(information).collect()
 }
 
 /// Returns the names of all parameters but the frames' poses, each with its block and column.
@@ -236,6 +267,17 @@ fn columns(dataset: &Dataset, rig: &RigProblem) -> Vec<(String, (BlockId, usize)
             }
         }
     }
+    if let Some(robot) = rig.robot.blocks {
+        let (rig_pose, target_pose) = match robot.mounting {
+            Mounting::RigOnFlange => ("flange_from_rig", "base_from_target"),
+            Mounting::RigInBase => ("base_from_rig", "flange_from_target"),
+        };
+        for (pose, block) in [(rig_pose, robot.carrier_from_rig), (target_pose, robot.other_from_first)] {
+            columns.extend(
+                POSE_COLUMNS.iter().enumerate().map(|(k, name)| (format!("robot.{pose}.{name}"), (block, k))),
+            );
+        }
+    }
     columns
 }
 
@@ -253,6 +295,9 @@ fn baselines(
     let mut baselines = BTreeMap::new();
     for (camera_id, blocks) in rig.cameras.enumerate() {
         let Some(blocks) = blocks.filter(|blocks| !blocks.is_reference) else { continue };
+        if (3..6).all(|column| rig.parameters.is_held(blocks.cam_from_rig, column)) {
+            continue;
+        }
         let translation: Vector3<f64> = rig.parameters.values().pose(blocks.cam_from_rig).translation;
         let length = translation.norm();
         // A left perturbation (w, v) changes |t| by t·v / |t|; w × t is square to t.

@@ -8,11 +8,13 @@ use std::sync::Arc;
 
 use boresight_camera::{CameraModel, Model, ModelVisitor};
 use boresight_data::{Observation, Target};
-use boresight_geometry::{Matrix3, Matrix6, Pose, Scalar, Vector3};
-use boresight_solver::gram::{BLOCK, PairGram, Row};
+use boresight_geometry::{Matrix3, Scalar, Vector3};
+use boresight_solver::gram::{BLOCK, Previous, Row};
 use boresight_solver::lanes::{Lanes, MAX_LANES};
 use boresight_solver::pulp::{Arch, Simd, WithSimd};
-use boresight_solver::{BlockId, GramMut, Scratch, Term, Values};
+use boresight_solver::{
+    BlockId, CompositeColumns, CompositeTerm, GramMut, Scratch, Term, Values, Weighed, linearize_composite,
+};
 
 use crate::chain::Chain;
 use crate::options::Loss;
@@ -44,7 +46,7 @@ pub struct Reprojection {
     n_shape: usize,
     chain: Chain,
     points: Arc<TargetPoints>,
-    layout: Arc<Layout>,
+    layout: Arc<CompositeColumns>,
     /// The pixels seen, padded likewise.
     pixels: [Vec<f64>; 2],
     weights: Weights,
@@ -62,25 +64,36 @@ enum Weights {
 /// The layouts in use, which terms of like lenses and shapes share.
 #[derive(Debug, Default)]
 pub struct Layouts {
-    known: Vec<Arc<Layout>>,
+    known: Vec<((usize, usize), Arc<CompositeColumns>)>,
 }
 
 impl Layouts {
-    fn get(&mut self, n_params: usize, n_shape: usize) -> Arc<Layout> {
-        let known = self.known.iter().find(|layout| (layout.n_params, layout.n_shape) == (n_params, n_shape));
-        known.cloned().unwrap_or_else(|| {
-            struct CountLanes;
-            impl WithSimd for CountLanes {
-                type Output = usize;
-                fn with_simd<S: Simd>(self, _: S) -> usize {
-                    S::F64_LANES
-                }
-            }
-            let layout = Arc::new(Layout::new(n_params, n_shape, Arch::new().dispatch(CountLanes)));
-            self.known.push(layout.clone());
-            layout
-        })
+    fn get(&mut self, n_params: usize, n_shape: usize) -> Arc<CompositeColumns> {
+        let key = (n_params, n_shape);
+        if let Some((_, layout)) = self.known.iter().find(|(known, _)| *known == key) {
+            return layout.clone();
+        }
+        let layout = Arc::new(layout(n_params, n_shape));
+        self.known.push((key, layout.clone()));
+        layout
     }
+}
+
+/// Returns where the products of a term's columns lie.
+///
+/// The columns are the lens, the shape, the composite pose and the residual; rows have theirs in another order.
+fn layout(n_params: usize, n_shape: usize) -> CompositeColumns {
+    let n_own = n_params + n_shape;
+    let n_row_columns = n_row_columns(n_params, n_shape);
+    CompositeColumns::new(n_own, n_row_columns, |column| match column {
+        0 => (Some(Row::U), 0),
+        1 => (Some(Row::V), 0),
+        2 => (Some(Row::U), 1),
+        3 => (Some(Row::V), 1),
+        _ if column < n_own => (None, FIRST_LENS_COLUMN + column - 4),
+        _ if column < n_own + 6 => (None, FIRST_POSE_COLUMN + column - n_own),
+        _ => (None, n_row_columns - 1),
+    })
 }
 
 impl TargetPoints {
@@ -163,9 +176,25 @@ impl Reprojection {
         };
     }
 
+    /// Returns the same term for other pixels and sigmas of the same points.
+    pub fn with_pixels(&self, observations: &[Observation]) -> Self {
+        assert_eq!(self.points.n_points, observations.len(), "each observation has its point");
+        let pixels =
+            [0, 1].map(|axis| padded(observations.iter().map(|observation| observation.pixel[axis])));
+        let mut term = Self { pixels, ..self.clone() };
+        term.set_kept(observations, |_| true);
+        term
+    }
+
     /// Sets the loss.
     pub fn set_loss(&mut self, loss: Loss) {
         self.loss = loss;
+    }
+
+    /// Returns the number of lens parameters, that of shape coefficients, and the chain, whose blocks'
+    /// columns follow these two in the term.
+    pub(crate) fn parts(&self) -> (usize, usize, &Chain) {
+        (self.model.param_count(), self.n_shape, &self.chain)
     }
 
     /// Returns the predicted pixel of each observation, or `None` where the lens sees none of it.
@@ -200,141 +229,6 @@ impl Reprojection {
     }
 }
 
-/// Where the products of a term's columns lie among the sums over its rows.
-///
-/// The columns are the lens, the shape, the composite pose and the residual; rows have theirs in another order.
-#[derive(Debug)]
-struct Layout {
-    n_params: usize,
-    n_shape: usize,
-    /// For each entry of the upper triangle, row by row, the two sums that make it up; `NOTHING` is zero.
-    entries: Vec<[u32; 2]>,
-}
-
-/// A sum that is zero: no row has both columns.
-const NOTHING: u32 = u32::MAX;
-
-impl Layout {
-    fn new(n_params: usize, n_shape: usize, n_lanes: usize) -> Self {
-        let n_row_columns = n_row_columns(n_params, n_shape);
-        let n_blocks = n_row_columns.div_ceil(BLOCK);
-        let n_flat = n_params + n_shape;
-        // Which row, if only one, and which column of it one of the term's columns is.
-        let row_column = |column: usize| match column {
-            0 => (Some(Row::U), 0),
-            1 => (Some(Row::V), 0),
-            2 => (Some(Row::U), 1),
-            3 => (Some(Row::V), 1),
-            _ if column < n_flat => (None, FIRST_LENS_COLUMN + column - 4),
-            _ if column < n_flat + 6 => (None, FIRST_POSE_COLUMN + column - n_flat),
-            _ => (None, n_row_columns - 1),
-        };
-        let mut entries = Vec::new();
-        for a in 0..n_flat + 7 {
-            for b in a..n_flat + 7 {
-                let ((row_a, column_a), (row_b, column_b)) = (row_column(a), row_column(b));
-                let place = |row| PairGram::place(n_blocks, n_lanes, row, column_a, column_b) as u32;
-                entries.push(match (row_a, row_b) {
-                    (Some(a), Some(b)) if a != b => [NOTHING; 2],
-                    (Some(row), _) | (_, Some(row)) => [place(row), NOTHING],
-                    _ if column_a.min(column_b) < BLOCK => [place(Row::U), place(Row::V)],
-                    _ => [place(Row::U), NOTHING],
-                });
-            }
-        }
-        Self { n_params, n_shape, entries }
-    }
-
-    /// Returns the number of the term's columns with the composite pose, the residual included.
-    fn side(&self) -> usize {
-        self.n_params + self.n_shape + 7
-    }
-
-    /// Writes `factor` times the upper triangle over lens, shape, composite pose and residual to `matrix`.
-    #[inline(always)]
-    fn unpack(&self, sums: &[f64], factor: f64, matrix: &mut [f64]) {
-        let side = self.side();
-        let sum = |place: u32| sums.get(place as usize).copied().unwrap_or(0.0);
-        let mut entries = self.entries.iter();
-        for a in 0..side {
-            for (entry, [first, second]) in matrix[a * side + a..(a + 1) * side].iter_mut().zip(&mut entries)
-            {
-                *entry = factor * (sum(*first) + sum(*second));
-            }
-        }
-    }
-}
-
-/// Maps the composite pose's columns of `matrix` to those of each link and writes all to `gram`.
-#[inline(always)]
-fn expand(layout: &Layout, matrix: &[f64], adjoints: &[Option<Matrix6<f64>>], gram: &mut GramMut<'_>) {
-    let side = layout.side();
-    let n_flat = layout.n_params + layout.n_shape;
-    let last = gram.size() - 1;
-    for a in 0..n_flat {
-        let row = &matrix[a * side..(a + 1) * side];
-        let target = gram.row_mut(a);
-        target[a..n_flat].copy_from_slice(&row[a..n_flat]);
-        target[last] = row[side - 1];
-        for (link, adjoint) in adjoints.iter().enumerate() {
-            let target = &mut target[n_flat + 6 * link..n_flat + 6 * link + 6];
-            write_mapped(&row[n_flat..n_flat + 6], adjoint, target);
-        }
-    }
-    gram.row_mut(last)[last] = matrix[side * side - 1];
-    let mut own = Matrix6::zeros();
-    let mut gradient = [0.0; 6];
-    for k in 0..6 {
-        let row = &matrix[(n_flat + k) * side + n_flat..(n_flat + k + 1) * side];
-        for l in k..6 {
-            own[(k, l)] = row[l];
-            own[(l, k)] = row[l];
-        }
-        gradient[k] = row[6];
-    }
-    for (link, adjoint) in adjoints.iter().enumerate() {
-        let first = n_flat + 6 * link;
-        let mut mapped = [0.0; 6];
-        write_mapped(&gradient, adjoint, &mut mapped);
-        let left = adjoint.map_or(own, |adjoint| adjoint.transpose() * own);
-        for (k, mapped) in mapped.into_iter().enumerate() {
-            gram.row_mut(first + k)[last] = mapped;
-        }
-        for (other, other_adjoint) in adjoints.iter().enumerate().skip(link) {
-            let block = other_adjoint.map_or(left, |adjoint| left * adjoint);
-            for k in 0..6 {
-                let target = &mut gram.row_mut(first + k)[n_flat + 6 * other..n_flat + 6 * other + 6];
-                // The lower triangle of a link's own block is never read.
-                for (l, target) in target.iter_mut().enumerate() {
-                    *target = block[(k, l)];
-                }
-            }
-        }
-    }
-}
-
-/// Writes `row * adjoint`, where `None` is the identity.
-#[inline(always)]
-fn write_mapped(row: &[f64], adjoint: &Option<Matrix6<f64>>, target: &mut [f64]) {
-    match adjoint {
-        None => {
-            target.copy_from_slice(row);
-        }
-        Some(adjoint) => {
-            for (column, target) in adjoint.as_slice().chunks_exact(6).zip(target) {
-                let mut sum = 0.0;
-                for k in 0..6 {
-                    sum += row[k] * column[k];
-                }
-                *target = sum;
-            }
-        }
-    }
-}
-
-/// The longest chain: camera, mount, robot, target mount, target, and room to spare.
-const MAX_LINKS: usize = 8;
-
 impl Term for Reprojection {
     fn blocks(&self) -> &[BlockId] {
         &self.blocks
@@ -345,58 +239,65 @@ impl Term for Reprojection {
     }
 
     fn linearize(&self, values: Values<'_>, gram: &mut GramMut<'_>, scratch: &mut Scratch) -> Option<f64> {
+        linearize_composite(self, values, gram, scratch)
+    }
+
+    fn composite(&self) -> Option<&dyn CompositeTerm> {
+        Some(self)
+    }
+}
+
+impl CompositeTerm for Reprojection {
+    fn columns(&self) -> &Arc<CompositeColumns> {
+        &self.layout
+    }
+
+    fn sum_products(&self, values: Values<'_>, scratch: &mut Scratch) -> Option<Weighed> {
+        let (rotation, translation) = self.chain.linearize(values, &mut scratch.links);
         if self.n_rows == 0 {
-            gram.clear();
-            return Some(0.0);
+            scratch.gram.clear(n_row_columns(self.model.param_count(), self.n_shape));
+            return Some(Weighed { factor: 1.0, cost: 0.0 });
         }
-        let mut adjoints = [None; MAX_LINKS];
-        let mut n_links = 0;
-        self.chain.each_adjoint(values, |adjoint| {
-            adjoints[n_links] = adjoint.copied();
-            n_links += 1;
-        });
         self.model.visit(Accumulate {
             term: self,
             lens: values.vector(self.blocks[0]),
-            cam_from_target: self.chain.compose(values),
-            adjoints: &adjoints[..n_links],
+            rotation,
+            translation: translation.into(),
             shape: self.shape(values),
             scratch,
-            gram,
         })
     }
 }
 
 /// Multiplies out the rows of a view, for one lens model.
-struct Accumulate<'a, 'g> {
+struct Accumulate<'a> {
     term: &'a Reprojection,
     lens: &'a [f64],
-    cam_from_target: Pose,
-    adjoints: &'a [Option<Matrix6<f64>>],
+    rotation: Matrix3<f64>,
+    translation: [f64; 3],
     shape: [f64; MAX_SHAPE],
     scratch: &'a mut Scratch,
-    gram: &'a mut GramMut<'g>,
 }
 
-impl ModelVisitor for Accumulate<'_, '_> {
-    type Output = Option<f64>;
+impl ModelVisitor for Accumulate<'_> {
+    type Output = Option<Weighed>;
 
-    fn visit<M: CameraModel>(self, model: M) -> Option<f64> {
+    fn visit<M: CameraModel>(self, model: M) -> Option<Weighed> {
         let arch = self.term.arch;
         arch.dispatch(AccumulateWith { model, view: self })
     }
 }
 
-struct AccumulateWith<'a, 'g, M> {
+struct AccumulateWith<'a, M> {
     model: M,
-    view: Accumulate<'a, 'g>,
+    view: Accumulate<'a>,
 }
 
-impl<M: CameraModel> WithSimd for AccumulateWith<'_, '_, M> {
-    type Output = Option<f64>;
+impl<M: CameraModel> WithSimd for AccumulateWith<'_, M> {
+    type Output = Option<Weighed>;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> Option<f64> {
+    fn with_simd<S: Simd>(self, simd: S) -> Option<Weighed> {
         // The number of shape coefficients and of lens parameters are constants of the code that each
         // arm becomes, so that rows are written without loops and without checks.
         match self.view.term.n_shape {
@@ -410,36 +311,33 @@ impl<M: CameraModel> WithSimd for AccumulateWith<'_, '_, M> {
 fn accumulate<M: CameraModel, S: Simd, const SHAPE: usize>(
     simd: S,
     model: M,
-    view: Accumulate<'_, '_>,
-) -> Option<f64> {
-    let Accumulate { term, lens, cam_from_target, adjoints, shape, scratch, gram } = view;
+    view: Accumulate<'_>,
+) -> Option<Weighed> {
+    let Accumulate { term, lens, rotation, translation, shape, scratch } = view;
     let n_points = term.points.n_points;
-    let stride = n_row_columns(model.param_count(), SHAPE).div_ceil(BLOCK) * BLOCK;
-    scratch.gram.reset(stride / BLOCK);
+    let n_columns = n_row_columns(model.param_count(), SHAPE);
+    let stride = n_columns.next_multiple_of(BLOCK);
     let n_chunks_at_once = POINTS_AT_ONCE / S::F64_LANES;
     let room = n_chunks_at_once * stride * S::F64_LANES;
     // Loads that straddle cache lines take twice as long.
     const LINE: usize = 64 / size_of::<f64>();
-    scratch.rows.resize(2 * room + LINE, 0.0);
+    if scratch.rows.len() < 2 * room + LINE {
+        scratch.rows.resize(2 * room + LINE, 0.0);
+    }
     let aligned = scratch.rows.as_ptr().align_offset(64).min(LINE);
     let (u_rows, v_rows) = scratch.rows[aligned..aligned + 2 * room].split_at_mut(room);
     let (u_rows, _) = S::as_mut_simd_f64s(u_rows);
     let (v_rows, _) = S::as_mut_simd_f64s(v_rows);
-    let context = Context {
-        model,
-        term,
-        lens,
-        rotation: cam_from_target.rotation_matrix(),
-        translation: cam_from_target.translation.into(),
-        shape,
-    };
+    let by_focal = [1.0 / lens[0], 1.0 / lens[1]];
+    let context = Context { model, term, lens, by_focal, rotation, translation, shape };
     // A weight that all rows share is applied to their sums.
-    let (uniform, shared) = match (&term.weights, term.loss) {
+    let (uniform, factor) = match (&term.weights, term.loss) {
         (Weights::Uniform(weight), Loss::None) => (true, weight * weight),
         _ => (false, 1.0),
     };
     let mut loss = 0.0;
     let mut first = 0;
+    let mut previous = Previous::Forgotten;
     while first < n_points {
         let n_chunks = (n_points - first).min(POINTS_AT_ONCE).div_ceil(S::F64_LANES);
         for chunk in 0..n_chunks {
@@ -452,20 +350,16 @@ fn accumulate<M: CameraModel, S: Simd, const SHAPE: usize>(
                 loss += context.write_rows::<S, SHAPE, true>(simd, point, [u, v])?;
             }
         }
-        let (u, _) = u_rows[..n_chunks * stride].as_chunks::<BLOCK>();
-        let (v, _) = v_rows[..n_chunks * stride].as_chunks::<BLOCK>();
-        scratch.gram.add(simd, u, v);
+        let (u, v) = (&u_rows[..n_chunks * stride], &v_rows[..n_chunks * stride]);
+        scratch.gram.sum(simd, n_columns, u, v, previous);
+        previous = Previous::Kept;
         first += POINTS_AT_ONCE;
     }
-    let layout = &*term.layout;
-    let side = layout.side();
-    scratch.matrix.resize(side * side, 0.0);
-    layout.unpack(scratch.gram.sums(), shared, &mut scratch.matrix);
-    expand(layout, &scratch.matrix, adjoints, gram);
-    Some(match term.loss {
-        Loss::None => scratch.matrix[side * side - 1],
+    let cost = match term.loss {
+        Loss::None => factor * term.layout.squares(scratch.gram.sums()),
         Loss::Cauchy { .. } => loss,
-    })
+    };
+    Some(Weighed { factor, cost })
 }
 
 /// Returns the numbers from `point` on, one a lane.
@@ -479,6 +373,8 @@ struct Context<'a, M> {
     model: M,
     term: &'a Reprojection,
     lens: &'a [f64],
+    /// The inverse focal lengths.
+    by_focal: [f64; 2],
     rotation: Matrix3<f64>,
     translation: [f64; 3],
     shape: [f64; MAX_SHAPE],
@@ -495,7 +391,7 @@ impl<M: CameraModel> Context<'_, M> {
         point: usize,
         rows: [&mut [S::f64s]; 2],
     ) -> Option<f64> {
-        let Self { model, term, lens, rotation, translation, shape } = self;
+        let Self { model, term, lens, by_focal, rotation, translation, shape } = self;
         let n_lens = model.param_count() - 4;
         let zero = Lanes::splat(simd, 0.0);
         let axes = &term.points.axes;
@@ -539,7 +435,7 @@ impl<M: CameraModel> Context<'_, M> {
             let columns = &mut columns[..n_row_columns(model.param_count(), SHAPE).div_ceil(BLOCK) * BLOCK];
             let by_lens = if row == 0 { &by_lens_u } else { &by_lens_v };
             let [mut a, mut b, mut c] = by_point[row];
-            let mut by_focal = (pixel[row] - zero.like(lens[2 + row])).scale(1.0 / lens[row]);
+            let mut by_focal = (pixel[row] - zero.like(lens[2 + row])).scale(by_focal[row]);
             if WEIGHTED {
                 (a, b, c) = (a * scale, b * scale, c * scale);
                 by_focal = by_focal * scale;

@@ -3,15 +3,16 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use boresight_camera::{Model, ParamGroup};
-use boresight_data::{CameraId, Dataset, FrameId, Id, IdVec, Scene, Shape, TargetId};
+use boresight_camera::{MAX_PARAMS, Model, ParamGroup};
+use boresight_data::{CameraId, Dataset, FrameId, Id, IdVec, Observation, Scene, Shape, TargetId};
 use boresight_geometry::Pose;
 use boresight_solver::{BlockId, Elimination, Parameters, Problem, Term, Values, VectorPrior};
 
 use crate::chain::{Chain, Link};
 use crate::error::Error;
-use crate::options::{AdjustOptions, Hold, Regularization};
+use crate::options::{AdjustOptions, Hold, Regularization, RobotNoise};
 use crate::reprojection::{Layouts, Reprojection, TargetPoints};
+use crate::robot::RobotPart;
 
 /// Expected size of a rational lens's radial coefficients.
 const RATIONAL_SIGMA: f64 = 2.0;
@@ -27,6 +28,7 @@ pub(crate) struct RigProblem {
     /// The terms, and for each the view it is of.
     pub views: Vec<(usize, Reprojection)>,
     pub priors: Vec<VectorPrior>,
+    pub robot: RobotPart,
 }
 
 /// The blocks of a camera.
@@ -72,6 +74,7 @@ impl RigProblem {
                 .then(|| parameters.add_pose(&belief.first_from_target, Elimination::Reduced));
             targets.push(TargetBlocks { shape, first_from_target });
         }
+        let robot = RobotPart::new(dataset, scene, options.robot_noise, &mut parameters);
         let mut problem = Self {
             parameters,
             cameras,
@@ -79,30 +82,46 @@ impl RigProblem {
             targets,
             views: Vec::new(),
             priors: Vec::new(),
+            robot,
         };
-        problem.add_views(dataset, scene);
+        problem.add_views(dataset, scene, options.robot_noise)?;
         problem.add_regularization(dataset, scene, options.regularization);
         problem.hold(&options.holds);
         Ok(problem)
     }
 
     /// Adds a term for each view whose camera and frame the scene knows.
-    fn add_views(&mut self, dataset: &Dataset, scene: &Scene) {
+    fn add_views(
+        &mut self,
+        dataset: &Dataset,
+        scene: &Scene,
+        noise: Option<RobotNoise>,
+    ) -> Result<(), Error> {
         let mut layouts = Layouts::default();
         // Whole boards share their points.
         let mut whole_boards: BTreeMap<TargetId, Arc<TargetPoints>> = BTreeMap::new();
         for (view_idx, view) in dataset.views.iter().enumerate() {
-            let (Some(camera), Some(rig_from_target)) =
-                (self.cameras[view.camera], scene.rig_from_target[view.frame])
+            let (Some(camera), Some(rig_camera)) =
+                (self.cameras[view.camera], &scene.rig.cameras[view.camera])
             else {
                 continue;
             };
-            let Some(rig_camera) = &scene.rig.cameras[view.camera] else { continue };
             if view.observations.is_empty() {
                 continue;
             }
-            let frame = *self.frames[view.frame]
-                .get_or_insert_with(|| self.parameters.add_pose(&rig_from_target, Elimination::First));
+            check_sigmas(view_idx, &view.observations)?;
+            let said = dataset.frames[view.frame].base_from_flange;
+            let by_robot = self.robot.links(view.frame, said, noise, &mut self.parameters);
+            let to_first = match (by_robot, scene.rig_from_target[view.frame]) {
+                (Some(links), _) => links.to_vec(),
+                (None, Some(rig_from_target)) => {
+                    let frame = *self.frames[view.frame].get_or_insert_with(|| {
+                        self.parameters.add_pose(&rig_from_target, Elimination::First)
+                    });
+                    vec![Link::Block(frame)]
+                }
+                (None, None) => continue,
+            };
             let target = &dataset.targets[view.target];
             let observations = &view.observations;
             let is_whole = observations.len() == target.point_count()
@@ -121,7 +140,7 @@ impl RigProblem {
             let links = (!at_rig)
                 .then_some(Link::Block(camera.cam_from_rig))
                 .into_iter()
-                .chain([Link::Block(frame)])
+                .chain(to_first)
                 .chain(blocks.first_from_target.map(Link::Block));
             let chain = Chain { links: links.collect() };
             let shape = blocks.shape.map(|block| (block, target.shape.coefficient_count()));
@@ -130,6 +149,7 @@ impl RigProblem {
                 Reprojection::new(model, camera.lens, shape, chain, points, observations, &mut layouts);
             self.views.push((view_idx, term));
         }
+        Ok(())
     }
 
     fn add_regularization(&mut self, dataset: &Dataset, scene: &Scene, regularization: Regularization) {
@@ -145,7 +165,7 @@ impl RigProblem {
                 Regularization::Mrcal22 => {
                     let is_rational = camera.model.param_groups().contains(&ParamGroup::Rational);
                     let n_params = camera.params.len();
-                    mrcal_rows(n_rows, n_cameras, n_params, is_rational, camera.image_size)
+                    mrcal22_rows(n_rows, n_cameras, n_params, is_rational, camera.image_size)
                 }
             };
             if !rows.is_empty() {
@@ -177,6 +197,12 @@ impl RigProblem {
                         self.parameters.hold_all(block);
                     }
                 }
+                Hold::CarrierFromRig => {
+                    if let Some(blocks) = self.robot.blocks {
+                        self.parameters.hold_all(blocks.carrier_from_rig);
+                    }
+                }
+                Hold::BaseHeight => self.robot.hold_height(&self.parameters),
                 Hold::Shapes => {
                     for shape in self.targets.iter().filter_map(|blocks| blocks.shape) {
                         self.parameters.hold_all(shape);
@@ -190,7 +216,7 @@ impl RigProblem {
     pub(crate) fn problem(&self) -> Result<Problem<'_>, Error> {
         let views = self.views.iter().map(|(_, term)| term as &dyn Term);
         let priors = self.priors.iter().map(|prior| prior as &dyn Term);
-        Ok(Problem::new(&self.parameters, views.chain(priors).collect())?)
+        Ok(Problem::new(&self.parameters, views.chain(priors).chain(self.robot.terms()).collect())?)
     }
 
     /// Returns the names of a camera's lens parameters.
@@ -199,7 +225,7 @@ impl RigProblem {
     }
 
     /// Returns `scene` with what `values` say of it.
-    pub(crate) fn scene(&self, scene: &Scene, values: Values<'_>) -> Scene {
+    pub(crate) fn scene(&self, dataset: &Dataset, scene: &Scene, values: Values<'_>) -> Scene {
         let mut scene = scene.clone();
         for (blocks, camera) in self.cameras.iter().zip(scene.rig.cameras.iter_mut()) {
             if let (Some(blocks), Some(camera)) = (blocks, camera) {
@@ -218,6 +244,7 @@ impl RigProblem {
         for (block, pose) in self.frames.iter().zip(scene.rig_from_target.iter_mut()) {
             *pose = block.map(|block| values.pose(block));
         }
+        self.robot.write(dataset, values, &mut scene);
         scene
     }
 }
@@ -238,8 +265,9 @@ fn default_rows(groups: &[ParamGroup]) -> Vec<(usize, f64, f64)> {
 /// Returns the regularisation rows of mrcal up to 2.5.2, whose residuals are in pixels.
 ///
 /// `n_rows` counts all rows of pixels, rejected ones included. The scale of distortions is 2, that of
-/// the centre 500 px; the denominators of a rational lens weigh five times as much.
-fn mrcal_rows(
+/// the centre 500 px; the denominators of a rational lens weigh five times as much. Each row is a
+/// column of the lens, its mean, and the inverse of its sigma.
+pub fn mrcal22_rows(
     n_rows: usize,
     n_cameras: usize,
     n_params: usize,
@@ -262,6 +290,16 @@ fn mrcal_rows(
     rows
 }
 
+fn check_sigmas(view_idx: usize, observations: &[Observation]) -> Result<(), Error> {
+    for (observation_idx, observation) in observations.iter().enumerate() {
+        let sigma_px = observation.sigma_px;
+        if !sigma_px.is_finite() || sigma_px <= 0.0 {
+            return Err(Error::BadSigma { view_idx, observation_idx, sigma_px });
+        }
+    }
+    Ok(())
+}
+
 fn check(dataset: &Dataset, scene: &Scene) -> Result<(), Error> {
     let counts = [
         ("cameras", scene.rig.cameras.len(), dataset.cameras.len()),
@@ -273,6 +311,13 @@ fn check(dataset: &Dataset, scene: &Scene) -> Result<(), Error> {
             return Err(Error::SeedMismatch { what, found, need });
         }
     }
+    for (camera, rig_camera) in scene.rig.cameras.enumerate() {
+        let Some(rig_camera) = rig_camera else { continue };
+        let (model, found) = (rig_camera.camera.model, rig_camera.camera.params.len());
+        if found > MAX_PARAMS {
+            return Err(Error::TooManyParams { camera, model, found, most: MAX_PARAMS });
+        }
+    }
     for (view_idx, view) in dataset.views.iter().enumerate() {
         let exists = dataset.cameras.get(view.camera).is_some()
             && dataset.frames.get(view.frame).is_some()
@@ -280,12 +325,6 @@ fn check(dataset: &Dataset, scene: &Scene) -> Result<(), Error> {
         if !exists {
             let (camera, frame, target) = (view.camera, view.frame, view.target);
             return Err(Error::DanglingView { view_idx, camera, frame, target });
-        }
-        for (observation_idx, observation) in view.observations.iter().enumerate() {
-            let sigma_px = observation.sigma_px;
-            if !sigma_px.is_finite() || sigma_px <= 0.0 {
-                return Err(Error::BadSigma { view_idx, observation_idx, sigma_px });
-            }
         }
     }
     Ok(())

@@ -182,7 +182,10 @@ fn case(model: Model) -> Case {
 #[test]
 fn every_lens_matches_differences() {
     for name in Model::names() {
-        check(&case(name.parse().unwrap()));
+        let model: Model = name.parse().unwrap();
+        if model.local_support().is_none() {
+            check(&case(model));
+        }
     }
 }
 

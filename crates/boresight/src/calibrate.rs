@@ -3,8 +3,9 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use boresight_adjust::{Observer, adjust};
-use boresight_data::{Calibration, Dataset, Finding, Geometry, Provenance, RejectionReason, Shape};
+use boresight_adjust::{AdjustOptions, Hold, Observer, adjust};
+use boresight_camera::Camera;
+use boresight_data::{Calibration, CameraId, Dataset, Finding, Geometry, Provenance, RejectionReason, Shape};
 use boresight_io::Job;
 use boresight_seed::{LeftOut, SeedOptions, seed};
 use boresight_validate::{Verdict, verdict};
@@ -51,9 +52,11 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
             (Geometry::Points { .. }, _) | (_, ShapeChoice::None) => Shape::Rigid,
         };
     }
-    let seed_options = SeedOptions { models: vec![options.model], ..SeedOptions::default() };
+    let known = known_lenses(job, &dataset);
+    let holds = known.iter().map(|(camera, _)| Hold::Lens(*camera)).collect();
+    let seed_options = SeedOptions { models: vec![options.model], known, ..SeedOptions::default() };
     let seed = seed(&dataset, &seed_options)?;
-    let mut adjust_options = options.adjust_options(&dataset);
+    let mut adjust_options = AdjustOptions { holds, ..options.adjust_options(&dataset) };
     adjust_options.cancel = watch.cancel.clone();
     let mut calibration = adjust(&dataset, &seed.scene, &adjust_options, watch.observer.clone())?;
     say_why(&mut calibration, &dataset, &seed.left_out);
@@ -68,6 +71,15 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     let left_out = seed.left_out.iter().map(|fact| fact.describe(&dataset)).collect();
     Ok(Outcome { calibration, verdict: verdict(&findings), dataset, findings, left_out })
+}
+
+/// Returns the lenses that the job knows, by the dataset's cameras.
+pub(crate) fn known_lenses(job: &Job, dataset: &Dataset) -> Vec<(CameraId, Camera)> {
+    let known = job.known_lenses.iter().filter_map(|(name, lens)| {
+        let (id, _) = dataset.cameras.enumerate().find(|(_, info)| info.name == *name)?;
+        Some((id, lens.clone()))
+    });
+    known.collect()
 }
 
 /// Replaces what the adjustment knows of views that were left out by the seed's own reasons.

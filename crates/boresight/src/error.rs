@@ -47,6 +47,26 @@ pub enum Error {
     /// Two calibrations cannot be compared.
     #[error("{}", with_sources(.0))]
     Compare(#[from] boresight_validate::Error),
+    /// The job has no table of robot poses.
+    #[error("the job has no table of robot poses")]
+    NoRobotPoses,
+    /// The robot's motions do not determine what is sought.
+    #[error("[{}] {}", .0.code, .0.message)]
+    Degenerate(Box<boresight_data::Finding>),
+    /// Rows of the table of poses are no poses in the stated convention.
+    #[error("the rows of the table are no poses read as {convention}")]
+    UnreadablePoses {
+        /// The convention.
+        convention: boresight_data::PoseConvention,
+        /// Which convention fits, if one does.
+        finding: Option<Box<boresight_data::Finding>>,
+    },
+    /// No closed form places rig and target on the robot.
+    #[error("no closed form places camera and target on the robot from {poses} poses")]
+    NoClosedForm {
+        /// The number of poses.
+        poses: usize,
+    },
     /// A camera's parameters are none of its lens model.
     #[error(transparent)]
     Camera(#[from] boresight_camera::Error),
@@ -65,7 +85,9 @@ impl Error {
                 boresight_io::Kind::CannotWrite => ErrorKind::CannotWrite,
             },
             Error::Robot(error) => error.kind(),
-            Error::Options { .. } | Error::UnknownCamera { .. } => ErrorKind::Usage,
+            Error::Options { .. } | Error::UnknownCamera { .. } | Error::NoRobotPoses => ErrorKind::Usage,
+            Error::UnreadablePoses { .. } => ErrorKind::Input,
+            Error::Degenerate(_) | Error::NoClosedForm { .. } => ErrorKind::Solve,
             Error::Compare(
                 boresight_validate::Error::NotPositive { .. } | boresight_validate::Error::Columns { .. },
             ) => ErrorKind::Usage,
@@ -83,6 +105,17 @@ impl Error {
         match self {
             Error::Io(error) => error.hint(),
             Error::Robot(error) => error.hint(),
+            Error::NoRobotPoses => text(
+                "add [robot] with mount and poses to the job, or --poses FILE with --mount on-flange or fixed",
+            ),
+            Error::Degenerate(finding) => Some(finding.fix.clone()),
+            Error::UnreadablePoses { finding, .. } => Some(match finding {
+                Some(finding) => format!("{}. {}", finding.message, finding.fix),
+                None => "`boresight robot poses` tries all conventions".to_owned(),
+            }),
+            Error::NoClosedForm { .. } => text(
+                "`boresight robot poses` tries all readings of the poses; are they turned about different axes?",
+            ),
             Error::Options { .. } => {
                 text("[options] takes model, shape, regularization, loss, reject, cameras and jobs")
             }

@@ -19,6 +19,7 @@ mod calibrate;
 mod choices;
 mod error;
 mod explain;
+mod hand_eye;
 mod known_rig;
 mod locate;
 mod options;
@@ -30,19 +31,22 @@ mod select;
 mod stereo;
 
 pub use boresight_adjust::{
-    Heights, ObjectPose, Observer, Progress, TipKnowledge, Touch, TouchLens, TouchOptions, TouchedPlane,
+    Heights, ObjectPose, Observer, Progress, RobotNoise, TipKnowledge, Touch, TouchLens, TouchOptions,
+    TouchedPlane,
 };
 pub use boresight_camera::{Camera, Model};
 pub use boresight_data::{
-    Calibration, CameraFit, CameraInfo, Dataset, Finding, Frame, Geometry, Id, Observation, PlaneModel,
-    Provenance, Rejection, RejectionReason, Rig, RigCamera, RobotPlane, Scene, Severity, Shape, Target, View,
+    Calibration, CameraFit, CameraInfo, Dataset, Finding, Frame, Geometry, Id, Mounting, Observation,
+    PlaneModel, PoseConvention, Provenance, Rejection, RejectionReason, Rig, RigCamera, RobotPlane, Scene,
+    Severity, Shape, Target, View,
 };
 pub use boresight_geometry::{Pose, Vector3};
 pub use boresight_io::{
     Error as IoError, FORMATS, Job, JobOverrides, Kind as IoKind, NamedCamera, OutputFile, PLANE_SCHEMA,
-    PlaneDocument, RobotJob, RobotTable, TouchDocument, TriedDocument, calibration_to_json, export, hash,
-    load_job, matrices_to_json, matrices_to_npy, matrices_to_text, parse_target, plane_to_json,
-    read_calibration, read_cameras, read_plane, read_robot_job, write_atomically, write_files,
+    PlaneDocument, RobotAxes, RobotInput, RobotJob, RobotOverrides, RobotTable, TouchDocument, TriedDocument,
+    calibration_to_json, export, hash, load_job, matrices_to_json, matrices_to_npy, matrices_to_text,
+    parse_target, plane_to_json, read_calibration, read_cameras, read_plane, read_robot_job,
+    write_atomically, write_files,
 };
 pub use boresight_validate::{CompareOptions, ComparedCamera, RigComparison, Verdict, compare_rigs, verdict};
 
@@ -50,6 +54,10 @@ pub use calibrate::{Outcome, Watch, calibrate};
 pub use choices::{BadChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
 pub use error::{Error, ErrorKind};
 pub use explain::{codes, explain};
+pub use hand_eye::{
+    Figures, HAND_EYE_SCHEMA, HandEyeDocument, HandEyeOptions, HandEyeOutcome, MethodFigures, NoiseChoice,
+    PoseReadings, SigmaSource, WorkingPoint, check_motions, describe_reading, hand_eye, read_poses,
+};
 pub use known_rig::KnownRig;
 pub use locate::{Candidate, LocatePoint, Located, locate};
 pub use options::CalibrateOptions;

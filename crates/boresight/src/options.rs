@@ -161,6 +161,8 @@ mod tests {
             options_place: Some(Place::line("boresight.toml", 7)),
             inputs: Vec::new(),
             findings: Vec::new(),
+            robot: None,
+            known_lenses: Vec::new(),
         }
     }
 

@@ -3,7 +3,7 @@
 use boresight_geometry::Vector3;
 
 use crate::registry::{Model, ModelVisitor};
-use crate::{CameraModel, ParamGroup};
+use crate::{CameraModel, LocalSupport, ParamGroup};
 
 /// What can be wrong with a camera.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -16,6 +16,22 @@ pub enum Error {
         name: String,
         /// The names that exist.
         known: Vec<&'static str>,
+    },
+    /// The text after a model's name is no configuration of it.
+    #[error("`{found}` is no configuration of lens model {model}; it takes {need}")]
+    BadConfiguration {
+        /// The model's name.
+        model: &'static str,
+        /// What was given.
+        found: String,
+        /// What a configuration looks like, or that there is none.
+        need: &'static str,
+    },
+    /// The model's configuration leaves open what it takes to project.
+    #[error("the configuration of lens model {model} is not complete")]
+    Incomplete {
+        /// The model.
+        model: Model,
     },
     /// The number of parameters is not the model's.
     #[error("lens model {model} takes {need} parameters, {found} are given")]
@@ -66,6 +82,9 @@ pub struct Linearized {
 impl Camera {
     /// Returns the camera, after checking number and values of the parameters.
     pub fn new(model: Model, params: Vec<f64>, image_size: [u32; 2]) -> Result<Self, Error> {
+        if !model.is_complete() {
+            return Err(Error::Incomplete { model });
+        }
         let names = model.param_names();
         if params.len() != names.len() {
             return Err(Error::ParamCount { model: model.name(), found: params.len(), need: names.len() });
@@ -145,7 +164,14 @@ impl Camera {
 impl Model {
     /// Returns the number of parameters, the core included.
     pub fn param_count(&self) -> usize {
-        self.param_names().len()
+        struct Count;
+        impl ModelVisitor for Count {
+            type Output = usize;
+            fn visit<M: CameraModel>(self, model: M) -> usize {
+                model.param_count()
+            }
+        }
+        self.visit(Count)
     }
 
     /// Returns the name of each parameter.
@@ -170,6 +196,30 @@ impl Model {
             }
         }
         self.visit(Groups)
+    }
+
+    /// Tells whether the configuration says all that it takes to project.
+    pub fn is_complete(&self) -> bool {
+        struct Complete;
+        impl ModelVisitor for Complete {
+            type Output = bool;
+            fn visit<M: CameraModel>(self, model: M) -> bool {
+                model.is_complete()
+            }
+        }
+        self.visit(Complete)
+    }
+
+    /// Returns which lens parameters a point depends on; `None` is all of them.
+    pub fn local_support(&self) -> Option<LocalSupport> {
+        struct Support;
+        impl ModelVisitor for Support {
+            type Output = Option<LocalSupport>;
+            fn visit<M: CameraModel>(self, model: M) -> Self::Output {
+                model.local_support()
+            }
+        }
+        self.visit(Support)
     }
 
     /// Returns the parameters of the lens without distortion, for the core `[fx, fy, cx, cy]`.

@@ -14,8 +14,10 @@ pub mod opencv;
 pub mod pinhole;
 pub mod registry;
 mod roots;
+pub mod splined;
+pub mod stereographic;
 pub mod textbook;
 
 pub use camera::{Camera, Error, Linearized};
-pub use model::{CameraModel, MAX_PARAMS, ParamGroup};
+pub use model::{CameraModel, LocalLinear, LocalSupport, MAX_LOCAL, MAX_PARAMS, ParamGroup};
 pub use registry::{Model, ModelVisitor};

@@ -1,9 +1,14 @@
 //! The lens plug: what a lens model must say, and what it gets for that.
 
-use boresight_geometry::{Dual, Scalar};
+use boresight_geometry::{Dual, MAX_LANES, Scalar};
 
-/// The largest number of parameters of a model that is differentiated through dual numbers.
+/// The largest number of parameters of a model whose points depend on all of them.
+///
+/// A model with [`LocalSupport`] has any number; a point depends on few of them.
 pub const MAX_PARAMS: usize = 18;
+
+/// The largest number of knots that a point depends on: four by four.
+pub const MAX_LOCAL: usize = 16;
 
 /// What a lens parameter is for; regularisation and reports go by it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,6 +27,47 @@ pub enum ParamGroup {
     ThinPrism,
     /// A tilt of the sensor, in radians.
     Tilt,
+    /// A coefficient of a spline, which moves a part of the image.
+    Spline,
+}
+
+/// Which lens parameters a point depends on, for a lens whose parameters lie on a grid of knots.
+///
+/// A knot has two parameters: the first moves the image along x, the second along y, both in units of
+/// the focal length. A point depends on the core and on a square of knots around it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LocalSupport {
+    /// The number of knots in a row and in a column of the square.
+    pub side: usize,
+    /// The number of knots in a row of the grid; after the core, knots are stored row by row.
+    pub columns: usize,
+    /// The number of rows of the grid.
+    pub rows: usize,
+}
+
+impl LocalSupport {
+    /// Returns the parameter that moves the image along `axis` (0 or 1) at knot `k` of the square, row
+    /// by row, whose first parameter is `first`.
+    #[inline(always)]
+    pub fn param(&self, first: usize, k: usize, axis: usize) -> usize {
+        first + 2 * (k / self.side * self.columns + k % self.side) + axis
+    }
+}
+
+/// A pixel with its derivatives, for a lens with [`LocalSupport`].
+#[derive(Clone, Copy, Debug)]
+pub struct LocalLinear<T> {
+    /// The pixel.
+    pub pixel: [T; 2],
+    /// `d_point[row][axis]` is the derivative of pixel coordinate `row` by the point.
+    pub d_point: [[T; 3]; 2],
+    /// In each lane, the first parameter of the square of knots: that of its corner, along x.
+    pub first: [usize; MAX_LANES],
+    /// The weight of each knot of the square, row by row; those past the square are zero.
+    ///
+    /// The derivative of pixel coordinate `row` by [`LocalSupport::param`]`(first, k, row)` is
+    /// `params[row] * weights[k]`; by the other parameter of the knot it is zero.
+    pub weights: [T; MAX_LOCAL],
 }
 
 /// A central lens model: from a point in the camera frame to a pixel.
@@ -32,6 +78,34 @@ pub enum ParamGroup {
 pub trait CameraModel: Copy + Send + Sync + 'static {
     /// The name in files and on the command line.
     const NAME: &'static str;
+
+    /// What the text after the name and a colon looks like, for a model that has a configuration.
+    const CONFIGURATION: Option<&'static str> = None;
+
+    /// Returns the model that a configuration describes, or `None` if the text is none.
+    ///
+    /// What is configured is part of the model and never solved for.
+    fn configured(text: &str) -> Option<Self> {
+        let _ = text;
+        None
+    }
+
+    /// Returns the configuration as [`configured`](Self::configured) reads it.
+    fn configuration(&self) -> Option<String> {
+        None
+    }
+
+    /// Tells whether the configuration says all that it takes to project.
+    fn is_complete(&self) -> bool {
+        true
+    }
+
+    /// Returns the model with what its configuration leaves open chosen so that the model covers
+    /// `directions` in the camera frame. What is chosen stays.
+    fn completed(&self, directions: &[[f64; 3]]) -> Self {
+        let _ = directions;
+        *self
+    }
 
     /// Returns the number of parameters, the core included.
     fn param_count(&self) -> usize;
@@ -60,6 +134,19 @@ pub trait CameraModel: Copy + Send + Sync + 'static {
         d_lens: [&mut [T]; 2],
     ) -> Option<[T; 2]> {
         linearize_with_duals(self, params, point_in_cam, d_point, d_lens)
+    }
+
+    /// Returns which lens parameters a point depends on; `None` is all of them.
+    fn local_support(&self) -> Option<LocalSupport> {
+        None
+    }
+
+    /// Returns the pixel as [`project`](Self::project) does, and its derivatives by the point and by
+    /// those lens parameters that it depends on; `None` also for a lens without local support.
+    #[inline(always)]
+    fn linearize_locally<T: Scalar>(&self, params: &[f64], point_in_cam: [T; 3]) -> Option<LocalLinear<T>> {
+        let _ = (params, point_in_cam);
+        None
     }
 
     /// Returns a point in the camera frame on the ray that `pixel` sees, in no particular length,

@@ -28,9 +28,20 @@ macro_rules! camera_models {
                 vec![$(<$model as CameraModel>::NAME),*]
             }
 
-            /// Returns the name of this model.
+            /// Returns the name of this model, without its configuration.
             pub fn name(&self) -> &'static str {
                 match self { $(Model::$variant(_) => <$model as CameraModel>::NAME,)* }
+            }
+
+            /// Returns the configuration, as it is written after the name, if the model has one.
+            pub fn configuration(&self) -> Option<String> {
+                match self { $(Model::$variant(model) => model.configuration(),)* }
+            }
+
+            /// Returns the model with what its configuration leaves open chosen so that the model covers
+            /// `directions` in the camera frame.
+            pub fn completed(&self, directions: &[[f64; 3]]) -> Self {
+                match self { $(Model::$variant(model) => Model::$variant(model.completed(directions)),)* }
             }
 
             /// Calls the visitor with the model's own type.
@@ -40,11 +51,23 @@ macro_rules! camera_models {
             }
         }
 
+        $(impl From<$model> for Model {
+            fn from(model: $model) -> Self {
+                Self::$variant(model)
+            }
+        })*
+
         impl FromStr for Model {
             type Err = Error;
 
-            fn from_str(name: &str) -> Result<Self, Error> {
-                $(if name == <$model as CameraModel>::NAME { return Ok(Model::$variant(Default::default())); })*
+            fn from_str(text: &str) -> Result<Self, Error> {
+                let (name, configuration) = match text.split_once(':') {
+                    Some((name, configuration)) => (name, Some(configuration)),
+                    None => (text, None),
+                };
+                $(if name == <$model as CameraModel>::NAME {
+                    return Ok(Model::$variant(configured(configuration)?));
+                })*
                 Err(Error::UnknownModel { name: name.to_owned(), known: Model::names() })
             }
         }
@@ -69,10 +92,28 @@ camera_models! {
     OpenCv12 => crate::opencv::OpenCv<12>,
     OpenCv14 => crate::opencv::OpenCv<14>,
     KannalaBrandt4 => crate::kannala_brandt4::KannalaBrandt4,
+    Stereographic => crate::stereographic::Stereographic,
+    Splined2 => crate::splined::Splined<2>,
+    Splined3 => crate::splined::Splined<3>,
 }
 
+/// The name, and after a colon the configuration, as `from_str` reads it.
 impl fmt::Display for Model {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
+        f.write_str(self.name())?;
+        match self.configuration() {
+            Some(configuration) => write!(f, ":{configuration}"),
+            None => Ok(()),
+        }
     }
+}
+
+/// Returns the model of a configuration; without one, the model's usual.
+fn configured<M: CameraModel + Default>(configuration: Option<&str>) -> Result<M, Error> {
+    let Some(text) = configuration else { return Ok(M::default()) };
+    M::configured(text).ok_or_else(|| Error::BadConfiguration {
+        model: M::NAME,
+        found: text.to_owned(),
+        need: M::CONFIGURATION.unwrap_or("none"),
+    })
 }

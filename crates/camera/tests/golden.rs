@@ -96,9 +96,21 @@ fn kannala_brandt_matches_opencv_fisheye() {
     );
 }
 
+/// The models of the golden file, in its order, by our names.
+const MRCAL_MODELS: [(usize, &str); 8] = [
+    (0, "pinhole"),
+    (1, "stereographic"),
+    (4, "opencv4"),
+    (5, "opencv5"),
+    (6, "opencv8"),
+    (7, "opencv12"),
+    (9, "splined3:16x11:120deg"),
+    (10, "splined3:16x11:120deg"),
+];
+
 /// Golden numbers of mrcal 2.2 (`mrcal.project` and `mrcal.unproject`), 200 points per model.
 #[test]
-fn pinhole_and_opencv_match_mrcal() {
+fn projections_match_mrcal() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../../shared/conformance/mrcal/golden/golden_project.npz");
     let Ok(mut archive) = NpzArchive::open(&path) else {
@@ -106,7 +118,7 @@ fn pinhole_and_opencv_match_mrcal() {
         return;
     };
     let points = read(&mut archive, "p");
-    for (i, name) in [(0, "pinhole"), (4, "opencv4"), (5, "opencv5"), (6, "opencv8"), (7, "opencv12")] {
+    for (i, name) in MRCAL_MODELS {
         let params = read(&mut archive, &format!("{i}_intrinsics"));
         let [pixels, by_point, by_param, rays] =
             ["q", "dq_dp", "dq_di", "v"].map(|array| read(&mut archive, &format!("{i}_{array}")));

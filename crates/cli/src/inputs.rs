@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use boresight::{Job, JobOverrides, Target, load_job};
+use boresight::{Job, JobOverrides, RobotOverrides, Target, load_job};
 
 use crate::arguments::InputArguments;
 use crate::failure::{Failure, Reason};
@@ -49,6 +49,11 @@ pub(crate) fn parse_target(spec: &str) -> Result<Target, String> {
 
 /// Loads the job that the arguments name.
 pub(crate) fn load(arguments: &InputArguments) -> Result<Job, Failure> {
+    load_with_robot(arguments, RobotOverrides::default())
+}
+
+/// Loads the job that the arguments name, with what the command line says of its robot.
+pub(crate) fn load_with_robot(arguments: &InputArguments, robot: RobotOverrides) -> Result<Job, Failure> {
     let inputs: Vec<PathBuf> = arguments.config.iter().chain(&arguments.inputs).cloned().collect();
     for path in &inputs {
         // Otherwise a mistyped name would be answered with a question about the target.
@@ -60,7 +65,12 @@ pub(crate) fn load(arguments: &InputArguments) -> Result<Job, Failure> {
     let sizes = &arguments.image_size;
     let of_all = sizes.iter().rev().find(|size| size.camera.is_none()).map(|size| size.size);
     let named = || sizes.iter().filter_map(|size| Some((size.camera.as_deref()?, size.size)));
-    let mut overrides = JobOverrides { target: arguments.target.clone(), image_size: of_all, sigma_px: None };
+    let mut overrides = JobOverrides {
+        target: arguments.target.clone(),
+        image_size: of_all,
+        robot,
+        ..JobOverrides::default()
+    };
     let largest = named().map(|(_, size)| size).reduce(|a, b| [a[0].max(b[0]), a[1].max(b[1])]);
     let mut must_be_named = false;
     let loaded = match (load_job(&inputs, &overrides), largest) {

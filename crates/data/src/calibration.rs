@@ -29,6 +29,8 @@ pub struct Calibration {
     pub regularization: Regularization,
     /// How the solver got there and why it stopped.
     pub solve: SolveRecord,
+    /// How well calibrations without a part of the frames predict that part; `None` if that was not tried.
+    pub held_out: Option<HeldOut>,
     /// What the calibration was made from, and with what.
     pub provenance: Provenance,
 }
@@ -75,7 +77,86 @@ pub struct Uncertainty {
     /// Why there is no covariance, where there is none.
     pub unavailable: Option<String>,
     /// The distance of each camera's centre from the reference camera's, with its sigma, in metres.
+    /// A camera whose place is held has none.
     pub baselines_m: BTreeMap<String, [f64; 2]>,
+    /// What the regularisation claims to know of each parameter of `names`: the inverse square of its
+    /// sigma, zero where it claims nothing. Residuals in units of the stated sigma have the weight one.
+    pub regularization_information: Vec<f64>,
+    /// How the poses of all frames vary with the parameters, as far as projections ask for it.
+    pub motions: Motions,
+    /// Combinations of parameters that the data hardly tell apart, the loosest first.
+    pub loose: Vec<LooseDirection>,
+}
+
+/// Motions of frames as wholes, which are linear functions of the poses of all frames; they are known
+/// jointly with the parameters. Each is a left perturbation: rotation in radians, translation in metres.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Motions {
+    /// The names: `mean.rx_rad` to `mean.tz_m` is the mean motion of the targets of all frames in the rig;
+    /// `left.views.rx_rad` to `left.views.tz_m` is the motion in camera `left` that explains best, over
+    /// its own corners and with its lens as it is, how they move when everything but its lens does.
+    pub names: Vec<String>,
+    /// For each motion a row of its covariances with the parameters, then with the motions, each in order.
+    pub covariance: Vec<f64>,
+}
+
+/// A combination of parameters that the data hardly tell apart.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LooseDirection {
+    /// How much less is known of it than of the same parameters one by one: a ratio of sigmas.
+    pub inflation: f64,
+    /// The parameters that make it up, with their shares; the shares of all parameters sum to one.
+    pub parts: Vec<(String, f64)>,
+    /// What cannot be separated and what would separate it, in words.
+    pub words: String,
+}
+
+/// How well calibrations without a part of the frames predict that part.
+///
+/// Each fold leaves out its frames, solves for lenses, rig and target from the rest, and then fits
+/// nothing but the poses of the frames left out, to all of their corners. What remains is compared
+/// with what remains in the solution itself, both per degree of freedom.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct HeldOut {
+    /// The number of parts that were left out in turn.
+    pub folds: usize,
+    /// The number of frames that were predicted.
+    pub frames: usize,
+    /// The number of their views.
+    pub views: usize,
+    /// The number of corners in these.
+    pub observations: usize,
+    /// Residuals less what the poses of the frames absorb: two for each corner, less six for each frame.
+    pub degrees_of_freedom: usize,
+    /// The root of the mean squared distance of a corner from its prediction, with the mean taken over
+    /// degrees of freedom: `sqrt(2 sum(du² + dv²) / degrees of freedom)`, in pixels.
+    pub rms_px: f64,
+    /// The same of the solution itself over all corners it used, in pixels.
+    pub in_sample_rms_px: f64,
+    /// `rms_px / in_sample_rms_px`, both weighted by the corners' sigmas. One is perfect.
+    pub ratio: f64,
+    /// By camera, the root of the mean squared distance of a corner from its prediction, in pixels.
+    pub cameras_px: BTreeMap<String, f64>,
+    /// How well one camera's view of a frame left out predicts what the others see; `None` for a
+    /// single camera.
+    pub transfer: Option<Transfer>,
+    /// Views that could not be predicted, because without their fold nothing determines their camera.
+    pub untested_views: usize,
+}
+
+/// From one camera to another, over frames that were left out of the calibration.
+///
+/// The target's pose comes from one camera's corners alone; the rig then says where the others must
+/// see them. The pose's own noise is part of the error, as it is in use.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Transfer {
+    /// The number of corners predicted.
+    pub observations: usize,
+    /// The root of the mean squared distance of a corner from where it is predicted, in pixels.
+    pub rms_px: f64,
+    /// The root of the mean squared distance of a predicted corner from the line of sight that saw it,
+    /// in millimetres at the target.
+    pub rms_mm: f64,
 }
 
 /// An observation that was not used.

@@ -10,17 +10,24 @@ mod calibration;
 mod dataset;
 mod finding;
 mod ids;
+mod image;
+mod pose_convention;
 mod robot_plane;
 mod scene;
 mod target;
 
 pub use calibration::{
-    Calibration, CameraFit, Provenance, Regularization, Rejection, RejectionReason, SolveRecord, Uncertainty,
-    ViewFit,
+    Calibration, CameraFit, HeldOut, LooseDirection, Motions, Provenance, Regularization, Rejection,
+    RejectionReason, SolveRecord, Transfer, Uncertainty, ViewFit,
 };
 pub use dataset::{CameraInfo, Dataset, Frame, Observation, View};
 pub use finding::{Finding, Severity};
 pub use ids::{CameraId, FrameId, Id, IdVec, PointId, TargetId};
+pub use image::{GrayImage, GrayPixels};
+pub use pose_convention::{
+    AngleUnit, BadPoseConvention, LengthUnit, MAKERS, PoseConvention, PoseDirection, PoseRow, RotationKind,
+    TurnsAbout,
+};
 pub use robot_plane::{PlaneLens, PlaneModel, RobotPlane};
-pub use scene::{Mount, Rig, RigCamera, Robot, Scene, TargetBelief, TargetMount};
+pub use scene::{Mount, Mounting, Rig, RigCamera, Robot, Scene, Stretch, TargetBelief, TargetMount};
 pub use target::{Geometry, Shape, Target};

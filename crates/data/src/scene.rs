@@ -1,7 +1,8 @@
 //! What is believed: lenses, where cameras sit, where targets stood. Seeds, solutions and truths are scenes.
 
 use boresight_camera::Camera;
-use boresight_geometry::{Pose, Vector3};
+use boresight_geometry::{Matrix3, Pose, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::{CameraId, FrameId, IdVec, TargetId};
 
@@ -52,6 +53,26 @@ pub struct Robot {
     pub target_mount: TargetMount,
     /// The touching tip, where one was used.
     pub tip_in_flange: Option<Vector3<f64>>,
+    /// How the robot's positions are off as a whole, where that was estimated.
+    pub stretch: Option<Stretch>,
+}
+
+/// A robot's positions are off by a linear map of the distance from a centre: a wrong length of an arm, a slanted
+/// axis, or a target whose spacing is not what is stated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretch {
+    /// The centre in the base, in metres.
+    pub centre_in_base: Vector3<f64>,
+    /// What is to be added to a position, for each metre from the centre.
+    pub matrix: Matrix3<f64>,
+}
+
+impl Stretch {
+    /// Returns where the flange is when the robot says that it is at `base_from_flange`.
+    pub fn corrected(&self, base_from_flange: &Pose) -> Pose {
+        let offset = self.matrix * (base_from_flange.translation - self.centre_in_base);
+        Pose::new(base_from_flange.rotation, base_from_flange.translation + offset)
+    }
 }
 
 /// Where the rig is mounted.
@@ -82,6 +103,74 @@ pub enum TargetMount {
         /// The target's pose on the flange.
         flange_from_target: Pose,
     },
+}
+
+/// Which of rig and target moves with the robot's flange; the other stays in the work cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Mounting {
+    /// A mobile camera: the rig is on the flange, the target in the work cell.
+    RigOnFlange,
+    /// A fixed camera: the rig is in the work cell, the target on the flange.
+    RigInBase,
+}
+
+impl Robot {
+    /// Returns a robot whose carrier bears the rig at `carrier_from_rig` and whose other end bears the target.
+    pub fn mounted(mounting: Mounting, carrier_from_rig: Pose, other_from_target: Pose) -> Self {
+        let (mount, target_mount) = match mounting {
+            Mounting::RigOnFlange => (
+                Mount::OnFlange { flange_from_rig: carrier_from_rig },
+                TargetMount::Fixed { base_from_target: other_from_target },
+            ),
+            Mounting::RigInBase => (
+                Mount::Fixed { base_from_rig: carrier_from_rig },
+                TargetMount::OnFlange { flange_from_target: other_from_target },
+            ),
+        };
+        Self { mount, target_mount, tip_in_flange: None, stretch: None }
+    }
+
+    /// Returns which of rig and target moves, or `None` if both do or neither does.
+    pub fn mounting(&self) -> Option<Mounting> {
+        match (&self.mount, &self.target_mount) {
+            (Mount::OnFlange { .. }, TargetMount::Fixed { .. }) => Some(Mounting::RigOnFlange),
+            (Mount::Fixed { .. }, TargetMount::OnFlange { .. }) => Some(Mounting::RigInBase),
+            _ => None,
+        }
+    }
+
+    /// Returns the rig's pose on the flange or in the base, whichever bears it.
+    pub fn carrier_from_rig(&self) -> Pose {
+        match self.mount {
+            Mount::OnFlange { flange_from_rig } => flange_from_rig,
+            Mount::Fixed { base_from_rig } => base_from_rig,
+        }
+    }
+
+    /// Returns the first target's pose in the base or on the flange, whichever bears it.
+    pub fn other_from_target(&self) -> Pose {
+        match self.target_mount {
+            TargetMount::Fixed { base_from_target } => base_from_target,
+            TargetMount::OnFlange { flange_from_target } => flange_from_target,
+        }
+    }
+
+    /// Returns where the flange is when the robot says that it is at `base_from_flange`.
+    pub fn corrected(&self, base_from_flange: &Pose) -> Pose {
+        self.stretch.map_or(*base_from_flange, |stretch| stretch.corrected(base_from_flange))
+    }
+
+    /// Returns where the rig sees the first target when the flange is at `base_from_flange`.
+    pub fn rig_from_target(&self, base_from_flange: &Pose) -> Pose {
+        let other_from_carrier = match (&self.mount, &self.target_mount) {
+            (Mount::OnFlange { .. }, TargetMount::Fixed { .. }) => *base_from_flange,
+            (Mount::Fixed { .. }, TargetMount::OnFlange { .. }) => base_from_flange.inverse(),
+            // Both on the same body: the robot's pose plays no part.
+            _ => Pose::identity(),
+        };
+        (other_from_carrier * self.carrier_from_rig()).inverse() * self.other_from_target()
+    }
 }
 
 impl Rig {

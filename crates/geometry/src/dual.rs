@@ -108,6 +108,8 @@ impl<T: Scalar, const N: usize> Neg for Dual<T, N> {
 }
 
 impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
+    const LANES: usize = T::LANES;
+
     #[inline(always)]
     fn like(self, value: f64) -> Self {
         Self::fixed(self.value.like(value))
@@ -168,6 +170,19 @@ impl<T: Scalar, const N: usize> Scalar for Dual<T, N> {
     }
 
     #[inline(always)]
+    fn lane(self, lane: usize) -> f64 {
+        self.value.lane(lane)
+    }
+
+    #[inline(always)]
+    fn with_lane(self, lane: usize, other: Self) -> Self {
+        Self {
+            value: self.value.with_lane(lane, other.value),
+            derivative: each!(i, self.derivative[i].with_lane(lane, other.derivative[i])),
+        }
+    }
+
+    #[inline(always)]
     fn scale(self, factor: f64) -> Self {
         self.chain(self.value.scale(factor), self.value.like(factor))
     }
@@ -198,6 +213,7 @@ mod tests {
             check(|x| -x.mul_add(x, x.scale(3.0)), at);
             check(|x| x.mul_add(x.sin(), x / c(3.0)), at);
             check(|x| x.select_below(1.0, x * x, x.scale(2.0)), at);
+            check(|x| x.with_lane(0, x * x), at);
         }
     }
 }

@@ -137,7 +137,7 @@ pub fn skew(v: &Vector3<f64>) -> Matrix3<f64> {
 const SMALL_ANGLE: f64 = 1.0;
 
 /// Returns the left Jacobian of SO(3): eq. 145 of Solà, Deray & Atchuthan 2018.
-fn left_jacobian(rotation_vector: &Vector3<f64>) -> Matrix3<f64> {
+pub(crate) fn left_jacobian(rotation_vector: &Vector3<f64>) -> Matrix3<f64> {
     let angle = rotation_vector.norm();
     let w = skew(rotation_vector);
     // (1 - cos θ)/θ², written with the half angle so that nothing cancels.

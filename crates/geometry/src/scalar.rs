@@ -2,6 +2,9 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+/// The largest number of values that one [`Scalar`] stands for.
+pub const MAX_LANES: usize = 8;
+
 /// A number that a projection formula can be written in once.
 ///
 /// Implemented by `f64`, by [`Dual`](crate::Dual) over any scalar, and by the SIMD lanes of the
@@ -10,6 +13,9 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 pub trait Scalar:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
+    /// The number of values that one number stands for, at most [`MAX_LANES`].
+    const LANES: usize;
+
     /// Returns the constant `value`, with zero derivatives, in as many lanes as `self` has.
     ///
     /// A constant is made from a number at hand because SIMD lanes cannot be conjured without the
@@ -37,6 +43,14 @@ pub trait Scalar:
     /// Returns, lane by lane, `if_below` where the value of `self` is below `limit`, else `otherwise`.
     fn select_below(self, limit: f64, if_below: Self, otherwise: Self) -> Self;
 
+    /// Returns the value in one lane.
+    fn lane(self, lane: usize) -> f64;
+
+    /// Returns `self`, but in one lane the value and the derivatives of `other`.
+    ///
+    /// With this a formula looks numbers up in a table, where each lane may want another entry.
+    fn with_lane(self, lane: usize, other: Self) -> Self;
+
     /// Returns `self * factor`.
     #[inline(always)]
     fn scale(self, factor: f64) -> Self {
@@ -45,6 +59,8 @@ pub trait Scalar:
 }
 
 impl Scalar for f64 {
+    const LANES: usize = 1;
+
     #[inline(always)]
     fn like(self, value: f64) -> Self {
         value
@@ -84,5 +100,15 @@ impl Scalar for f64 {
     #[inline(always)]
     fn select_below(self, limit: f64, if_below: Self, otherwise: Self) -> Self {
         if self < limit { if_below } else { otherwise }
+    }
+
+    #[inline(always)]
+    fn lane(self, _: usize) -> f64 {
+        self
+    }
+
+    #[inline(always)]
+    fn with_lane(self, _: usize, other: Self) -> Self {
+        other
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use boresight_data::{Finding, Provenance};
+use boresight_data::{Finding, HeldOut, LooseDirection, Provenance};
 use serde::de::{MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -27,6 +27,9 @@ pub(crate) struct Document {
     pub views: Vec<ViewDocument>,
     pub rejected: Vec<RejectionDocument>,
     pub robot: Option<RobotDocument>,
+    /// Absent in files of before it was worked out, and null where it was not.
+    #[serde(default)]
+    pub held_out: Option<HeldOut>,
     pub covariance: CovarianceDocument,
     #[serde(default)]
     pub findings: Vec<Finding>,
@@ -159,6 +162,15 @@ pub(crate) struct RobotDocument {
     pub mount: MountDocument,
     pub target_mount: TargetMountDocument,
     pub tip_in_flange_m: Option<[f64; 3]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stretch: Option<StretchDocument>,
+}
+
+/// How a robot's positions are off: `position + matrix * (position - centre)`, the matrix row by row.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct StretchDocument {
+    pub centre_in_base_m: [f64; 3],
+    pub matrix: [[f64; 3]; 3],
 }
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -180,6 +192,20 @@ pub(crate) struct CovarianceDocument {
     pub names: Vec<String>,
     pub rows: Vec<Vec<f64>>,
     pub unavailable: Option<String>,
+    /// By name, in their order; empty in files of before it was written.
+    #[serde(default)]
+    pub regularization_information: Vec<f64>,
+    #[serde(default)]
+    pub motions: MotionsDocument,
+    #[serde(default)]
+    pub loose: Vec<LooseDirection>,
+}
+
+/// Motions of all frames together; a row has the covariances with the parameters, then with the motions.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub(crate) struct MotionsDocument {
+    pub names: Vec<String>,
+    pub rows: Vec<Vec<f64>>,
 }
 
 /// A number that may have none: one that is not finite is written as null with the reason.

@@ -6,18 +6,18 @@
 
 use boresight_camera::{Camera, Model};
 use boresight_data::{
-    Calibration, CameraFit, Finding, Geometry, IdVec, Mount, PointId, Regularization, Rejection,
-    RejectionReason, Rig, RigCamera, Robot, Scene, Shape, SolveRecord, Target, TargetBelief, TargetMount,
-    Uncertainty, ViewFit,
+    Calibration, CameraFit, Finding, Geometry, IdVec, Motions, Mount, PointId, Regularization, Rejection,
+    RejectionReason, Rig, RigCamera, Robot, Scene, Shape, SolveRecord, Stretch, Target, TargetBelief,
+    TargetMount, Uncertainty, ViewFit,
 };
-use boresight_geometry::{Pose, UnitQuaternion, Vector3, nalgebra::Quaternion};
+use boresight_geometry::{Matrix3, Pose, UnitQuaternion, Vector3, nalgebra::Quaternion};
 use serde::Deserialize;
 
 use crate::calibration_document::{
-    CameraDocument, CovarianceDocument, Document, Estimate, FrameDocument, GeometryDocument, MountDocument,
-    Number, Param, Params, PoseDocument, ReasonDocument, RegularizationDocument, RejectionDocument,
-    RobotDocument, ShapeDocument, SolveDocument, TargetDocument, TargetMountDocument, TargetSummary,
-    ViewDocument,
+    CameraDocument, CovarianceDocument, Document, Estimate, FrameDocument, GeometryDocument, MotionsDocument,
+    MountDocument, Number, Param, Params, PoseDocument, ReasonDocument, RegularizationDocument,
+    RejectionDocument, RobotDocument, ShapeDocument, SolveDocument, StretchDocument, TargetDocument,
+    TargetMountDocument, TargetSummary, ViewDocument,
 };
 use crate::format::{NamedCamera, NamedCovariance, OutputFile, calibrated, holds};
 use crate::json_text::to_json;
@@ -49,6 +49,17 @@ pub fn calibration_to_json(calibration: &Calibration, findings: &[Finding]) -> R
     };
     for (i, value) in uncertainty.covariance.iter().enumerate() {
         finite(*value, || format!("covariance.rows[{}][{}]", i / n_names.max(1), i % n_names.max(1)))?;
+    }
+    let motions = &uncertainty.motions;
+    let n_motions = motions.names.len();
+    let motion_width = n_names + n_motions;
+    same_length("covariances of motions", motions.covariance.len(), n_motions * motion_width)?;
+    for (i, value) in motions.covariance.iter().enumerate() {
+        finite(*value, || format!("covariance.motions.rows[{}][{}]", i / motion_width, i % motion_width))?;
+    }
+    if !uncertainty.regularization_information.is_empty() {
+        let found = uncertainty.regularization_information.len();
+        same_length("weights of the regularisation", found, n_names)?;
     }
     let document = Document {
         schema: CALIBRATION_SCHEMA.to_owned(),
@@ -96,10 +107,17 @@ pub fn calibration_to_json(calibration: &Calibration, findings: &[Finding]) -> R
             .collect(),
         rejected: calibration.rejected.iter().map(write_rejection).collect(),
         robot: scene.robot.as_ref().map(write_robot).transpose()?,
+        held_out: calibration.held_out.clone(),
         covariance: CovarianceDocument {
             names: uncertainty.names.clone(),
             rows,
             unavailable: uncertainty.unavailable.clone(),
+            regularization_information: uncertainty.regularization_information.clone(),
+            motions: MotionsDocument {
+                names: motions.names.clone(),
+                rows: motions.covariance.chunks(motion_width.max(1)).map(<[f64]>::to_vec).collect(),
+            },
+            loose: uncertainty.loose.clone(),
         },
         findings: findings.to_vec(),
         provenance: calibration.provenance.clone(),
@@ -144,7 +162,19 @@ pub fn calibration_from_json(file: &str, bytes: &[u8]) -> Result<(Calibration, V
         rig_from_target.push(frame.rig_from_target.map(|pose| reader.pose(&pose, at)).transpose()?);
         frame_names.push(frame.name);
     }
-    let CovarianceDocument { names, rows, unavailable } = document.covariance;
+    let CovarianceDocument { names, rows, unavailable, regularization_information, motions, loose } =
+        document.covariance;
+    let motion_width = names.len() + motions.names.len();
+    if motions.rows.len() != motions.names.len() || motions.rows.iter().any(|row| row.len() != motion_width) {
+        let value = format!("{} rows", motions.rows.len());
+        let need = "a row for each motion, with an entry for each parameter and each motion";
+        return Err(reader.bad("covariance.motions.rows".to_owned(), value, need));
+    }
+    if !regularization_information.is_empty() && regularization_information.len() != names.len() {
+        let value = format!("{} numbers", regularization_information.len());
+        let need = "a number for each name";
+        return Err(reader.bad("covariance.regularization_information".to_owned(), value, need));
+    }
     if !rows.is_empty() && (rows.len() != names.len() || rows.iter().any(|row| row.len() != names.len())) {
         let value = format!("{} rows", rows.len());
         return Err(reader.bad(
@@ -181,6 +211,9 @@ pub fn calibration_from_json(file: &str, bytes: &[u8]) -> Result<(Calibration, V
                 .into_iter()
                 .map(|(name, estimate)| (name, [(&estimate.value).into(), (&estimate.sigma).into()]))
                 .collect(),
+            regularization_information,
+            motions: Motions { names: motions.names, covariance: motions.rows.concat() },
+            loose,
         },
         rejected: document.rejected.into_iter().map(read_rejection).collect(),
         regularization: Regularization {
@@ -196,6 +229,7 @@ pub fn calibration_from_json(file: &str, bytes: &[u8]) -> Result<(Calibration, V
             stop: document.stop,
             converged: solve.converged,
         },
+        held_out: document.held_out,
         provenance: document.provenance,
     };
     Ok((calibration, document.findings))
@@ -289,7 +323,7 @@ fn write_camera(
         };
         Ok(((*param).to_owned(), Param { value, sigma, why }))
     });
-    document.model = Some(camera.model.name().to_owned());
+    document.model = Some(camera.model.to_string());
     document.image_size = Some(camera.image_size);
     document.params = Some(Params(params.collect::<Result<_, Error>>()?));
     let of_pose = |axes: [&str; 3]| sigmas.of_all(axes.map(|axis| format!("{name}.cam_from_rig.{axis}")));
@@ -388,6 +422,15 @@ fn write_robot(robot: &Robot) -> Result<RobotDocument, Error> {
             Some(tip) => {
                 tip.iter().try_for_each(|value| finite(*value, || "the robot's tip".to_owned()))?;
                 Some(tip.into())
+            }
+            None => None,
+        },
+        stretch: match robot.stretch {
+            Some(Stretch { centre_in_base, matrix }) => {
+                let numbers = centre_in_base.iter().chain(matrix.iter());
+                { numbers }.try_for_each(|value| finite(*value, || "the robot's stretch".to_owned()))?;
+                let matrix = [0, 1, 2].map(|row| [0, 1, 2].map(|column| matrix[(row, column)]));
+                Some(StretchDocument { centre_in_base_m: centre_in_base.into(), matrix })
             }
             None => None,
         },
@@ -495,6 +538,10 @@ impl Reader<'_> {
                 },
             },
             tip_in_flange: document.tip_in_flange_m.map(Vector3::from),
+            stretch: document.stretch.map(|stretch| Stretch {
+                centre_in_base: Vector3::from(stretch.centre_in_base_m),
+                matrix: Matrix3::from_fn(|row, column| stretch.matrix[row][column]),
+            }),
         })
     }
 }

@@ -12,20 +12,55 @@ use crate::python_literal::{Literal, read_dict};
 use crate::{Error, Place};
 
 /// mrcal's names of lens models, and ours.
-const MODELS: [(&str, &str); 5] = [
+const MODELS: [(&str, &str); 6] = [
     ("LENSMODEL_PINHOLE", "pinhole"),
     ("LENSMODEL_OPENCV4", "opencv4"),
     ("LENSMODEL_OPENCV5", "opencv5"),
     ("LENSMODEL_OPENCV8", "opencv8"),
     ("LENSMODEL_OPENCV12", "opencv12"),
+    ("LENSMODEL_STEREOGRAPHIC", "stereographic"),
 ];
+/// What mrcal's names of splined lenses begin with, before the configuration.
+const SPLINED: &str = "LENSMODEL_SPLINED_STEREOGRAPHIC";
 const MODEL_KEYS: [&str; 3] = ["lensmodel", "lens_model", "distortion_model"];
 const POSE_KEYS: [&str; 2] = ["rt_cam_ref", "extrinsics"];
 /// How far the two generations' poses may be apart: mrcal's own limit.
 const POSE_TOLERANCE: f64 = 1e-9;
 
 pub(crate) fn carries(model: &Model) -> bool {
-    MODELS.iter().any(|(_, ours)| *ours == model.name())
+    their_name(model).is_some()
+}
+
+/// Returns mrcal's name of a lens model, its configuration included.
+fn their_name(model: &Model) -> Option<String> {
+    let splined = |order: u8, [columns, rows]: [u16; 2], fov_x_deg: u16| {
+        format!("{SPLINED}_order={order}_Nx={columns}_Ny={rows}_fov_x_deg={fov_x_deg}")
+    };
+    match model {
+        Model::Splined2(lens) => Some(splined(2, lens.knots(), lens.fov_x_deg())),
+        Model::Splined3(lens) => Some(splined(3, lens.knots(), lens.fov_x_deg())),
+        _ => MODELS.iter().find(|(_, ours)| *ours == model.name()).map(|(theirs, _)| (*theirs).to_owned()),
+    }
+}
+
+/// Returns the lens model of mrcal's name.
+fn our_model(theirs: &str) -> Option<Model> {
+    if let Some(configuration) = theirs.strip_prefix(SPLINED) {
+        let [order, columns, rows, fov] = values_of(configuration, ["order", "Nx", "Ny", "fov_x_deg"])?;
+        return format!("splined{order}:{columns}x{rows}:{fov}deg").parse().ok();
+    }
+    MODELS.iter().find(|(name, _)| *name == theirs).and_then(|(_, ours)| ours.parse().ok())
+}
+
+/// Returns the values of a configuration `_key=value_key=value` with exactly these keys, in this order.
+fn values_of<'a, const N: usize>(mut configuration: &'a str, keys: [&str; N]) -> Option<[&'a str; N]> {
+    let mut values = [""; N];
+    for (i, key) in keys.iter().enumerate() {
+        let rest = configuration.strip_prefix('_')?.strip_prefix(key)?.strip_prefix('=')?;
+        let end = if i + 1 < N { rest.find('_')? } else { rest.len() };
+        (values[i], configuration) = rest.split_at(end);
+    }
+    Some(values)
 }
 
 pub(crate) fn recognizes(bytes: &[u8]) -> bool {
@@ -70,16 +105,16 @@ pub(crate) fn read_cameras(file: &str, bytes: &[u8]) -> Result<Vec<NamedCamera>,
         return Err(bad(line, "lensmodel", name.describe(), "it must be a string".to_owned()));
     };
     let name = name.replacen("DISTORTION_", "LENSMODEL_", 1);
-    let Some((_, ours)) = MODELS.iter().find(|(theirs, _)| *theirs == name) else {
+    let Some(model) = our_model(&name) else {
         let known: Vec<&str> = MODELS.iter().map(|(theirs, _)| *theirs).collect();
-        return Err(bad(line, "lensmodel", name, format!("these are read: {}", known.join(", "))));
+        let splined = format!("{SPLINED}_order=3_Nx=30_Ny=18_fov_x_deg=120 and the like");
+        return Err(bad(line, "lensmodel", name, format!("these are read: {}, {splined}", known.join(", "))));
     };
     let camera_name = stem_of(file);
     let lens = |line: usize| {
         let camera = camera_name.clone();
         move |source| Error::Lens { place: Place::line(file, line), camera, source: Box::new(source) }
     };
-    let model: Model = ours.parse().map_err(lens(line))?;
 
     let (size_line, size) = find(&["imagersize"]).ok_or_else(|| missing("imagersize"))?;
     let image_size =
@@ -118,7 +153,7 @@ pub(crate) fn read_cameras(file: &str, bytes: &[u8]) -> Result<Vec<NamedCamera>,
 }
 
 fn write(name: &str, RigCamera { camera, cam_from_rig }: &RigCamera) -> Result<String, Error> {
-    let Some((theirs, _)) = MODELS.iter().find(|(_, ours)| *ours == camera.model.name()) else {
+    let Some(theirs) = their_name(&camera.model) else {
         let (camera, what) = (name.to_owned(), format!("lens model {}", camera.model));
         return Err(Error::CannotCarry { format: "cameramodel", camera, what, instead: Vec::new() });
     };
@@ -181,6 +216,16 @@ mod tests {
             "LENSMODEL_CAHVOR",
             &["a/c.cameramodel:3", "LENSMODEL_CAHVOR", "LENSMODEL_OPENCV8"],
         );
+        refuses(
+            "DISTORTION_OPENCV4",
+            "LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx=30_fov_x_deg=9",
+            &["Ny=18"],
+        );
+        refuses(
+            "DISTORTION_OPENCV4",
+            "LENSMODEL_SPLINED_STEREOGRAPHIC_order=4_Nx=9_Ny=9_fov_x_deg=9",
+            &["order=3"],
+        );
         refuses("1e3,", "", &["c.cameramodel:4", "8 parameters, 7 are given"]);
         refuses("1e3", "-1e3", &["fx", "-1000"]);
         refuses("1e3", "nan", &["c.cameramodel:4"]);
@@ -199,18 +244,15 @@ mod tests {
     fn reference_files_of_mrcal_are_read_where_present() {
         let folder = std::path::Path::new("/work/shared/datasets");
         for (file, model) in [
-            ("corners-stereo-drcal/raw/reference/camera-1.cameramodel", Some("opencv8")),
-            ("corners-mrcal-figueroa/raw/pinhole-narrow-yawed-left.cameramodel", Some("pinhole")),
-            ("stereo-opencv-left-right/derived/mrcal/OPENCV5-camera-1.cameramodel", Some("opencv5")),
-            ("corners-mrcal-figueroa/raw/splined-0.cameramodel", None),
+            ("corners-stereo-drcal/raw/reference/camera-1.cameramodel", "opencv8"),
+            ("corners-mrcal-figueroa/raw/pinhole-narrow-yawed-left.cameramodel", "pinhole"),
+            ("stereo-opencv-left-right/derived/mrcal/OPENCV5-camera-1.cameramodel", "opencv5"),
+            ("corners-mrcal-figueroa/raw/splined-0.cameramodel", "splined3"),
         ] {
             let Ok(bytes) = std::fs::read(folder.join(file)) else { continue };
             assert!(recognizes(&bytes), "{file}");
             let found = read_cameras(file, &bytes);
-            match model {
-                Some(model) => assert_eq!(found.unwrap()[0].camera.model.name(), model),
-                None => assert!(found.unwrap_err().to_string().contains("LENSMODEL_SPLINED_STEREOGRAPHIC")),
-            }
+            assert_eq!(found.unwrap()[0].camera.model.name(), model);
         }
     }
 }

@@ -56,7 +56,7 @@ pub fn matrices(calibration: &Calibration) -> Vec<CameraMatrices> {
             let core = [fx, fy, u0, v0];
             CameraMatrices {
                 name: name.to_owned(),
-                model: camera.model.name().to_owned(),
+                model: camera.model.to_string(),
                 image_size: camera.image_size,
                 fx,
                 fy,

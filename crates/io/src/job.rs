@@ -2,12 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
+use boresight_camera::Camera;
 use boresight_data::{Calibration, Dataset, Finding, Target};
 
 use crate::assemble::assemble;
 use crate::calibration_json::calibration_from_json;
 use crate::format::corner_reader;
 use crate::job_file::{JobFile, TargetDescription, name_of, read_job_file, read_points};
+use crate::robot_input::{RobotInput, RobotOverrides, load_robot};
 use crate::{Error, Place};
 
 /// The name of the job file in a dataset's folder.
@@ -26,6 +28,10 @@ pub struct Job {
     pub inputs: Vec<(String, String)>,
     /// What was noticed while reading.
     pub findings: Vec<Finding>,
+    /// The robot, where the job has one; its poses are in the dataset's frames.
+    pub robot: Option<RobotInput>,
+    /// The lenses that are known and shall not be estimated, by camera.
+    pub known_lenses: Vec<(String, Camera)>,
 }
 
 /// What the command line says in place of a job file.
@@ -37,6 +43,8 @@ pub struct JobOverrides {
     pub image_size: Option<[u32; 2]>,
     /// The standard deviation of a corner in pixels, of level 0 or weight 1; `None` takes the job file's, or 1.
     pub sigma_px: Option<f64>,
+    /// What replaces the job's `[robot]`.
+    pub robot: RobotOverrides,
 }
 
 /// Loads a job from `inputs`: a folder with a `boresight.toml`, a job file, corner files, or a job and corner files.
@@ -55,6 +63,8 @@ pub fn load_job(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Job, Err
                 corners: Vec::new(),
                 sigma_px: None,
                 options: toml::Table::new(),
+                robot: None,
+                known_lenses: Vec::new(),
             };
             (PathBuf::new(), nothing, None)
         }
@@ -128,8 +138,16 @@ pub fn load_job(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Job, Err
     if let Some(image_size) = overrides.image_size {
         cameras.iter_mut().for_each(|camera| camera.image_size = image_size);
     }
-    let (dataset, findings) = assemble(files, &cameras, overrides.image_size, target)?;
-    Ok(Job { dataset, options: job.options, options_place, inputs: hashes, findings })
+    let (mut dataset, findings) = assemble(files, &cameras, overrides.image_size, target)?;
+    let place = job.robot.as_ref().map_or_else(|| Place::file("--poses"), |(_, place)| place.clone());
+    let table = job.robot.as_ref().map(|(table, _)| table);
+    let robot = load_robot(&folder, table, &place, &overrides.robot, &mut dataset)?;
+    let robot = robot.map(|(robot, mut read)| {
+        hashes.append(&mut read);
+        robot
+    });
+    let known_lenses = job.known_lenses;
+    Ok(Job { dataset, options: job.options, options_place, inputs: hashes, findings, robot, known_lenses })
 }
 
 /// Returns the blake3 hash of `bytes` in hexadecimal.
@@ -260,7 +278,8 @@ model = "pinhole"
                 continue;
             }
             let target = Some(crate::parse_target(&format!("chessboard:{target}")).unwrap());
-            let overrides = JobOverrides { target, image_size: Some([10_000, 10_000]), sigma_px: None };
+            let overrides =
+                JobOverrides { target, image_size: Some([10_000, 10_000]), ..JobOverrides::default() };
             let dataset = load_job(&[path], &overrides).unwrap().dataset;
             let found = (dataset.cameras.len(), dataset.frames.len(), dataset.views.len());
             assert_eq!(found, (cameras, frames, views), "{file}");

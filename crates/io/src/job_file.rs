@@ -10,14 +10,18 @@
 //! name = "left"
 //! image_size = [640, 480]
 //! images = "left*.jpg"           # optional: the names of its images in a .vnl
+//! model = "pinhole"              # optional: a lens that is known and shall not be estimated ...
+//! params = [600.0, 600.0, 319.5, 239.5]   # ... and its parameters
 //! [input]
 //! corners = ["corners.csv"]      # relative to this file; .csv or .vnl
 //! sigma_px = 1.0                 # optional
+//! [robot]                        # see `robot_input.rs`
 //! [options]                      # the command line's names; read by the pipeline
 //! ```
 
 use std::path::Path;
 
+use boresight_camera::{Camera, Model};
 use boresight_data::{Geometry, Shape, Target};
 use serde::Deserialize;
 use toml::Spanned;
@@ -25,6 +29,7 @@ use toml::Spanned;
 use crate::assemble::CameraSpec;
 use crate::error::closest;
 use crate::image_names::Listed;
+use crate::robot_input::RobotTable;
 use crate::target_spec::{TARGET_NAME, chessboard};
 use crate::{Error, Place};
 
@@ -36,6 +41,10 @@ pub(crate) struct JobFile {
     pub corners: Vec<String>,
     pub sigma_px: Option<f64>,
     pub options: toml::Table,
+    /// The table `[robot]`, and where it stands.
+    pub robot: Option<(RobotTable, Place)>,
+    /// The lenses that are known, by camera.
+    pub known_lenses: Vec<(String, Camera)>,
 }
 
 /// A target as a job file describes it.
@@ -57,6 +66,7 @@ struct Tables {
     input: InputTable,
     #[serde(default)]
     options: toml::Table,
+    robot: Option<Spanned<RobotTable>>,
 }
 
 #[derive(Deserialize)]
@@ -75,6 +85,9 @@ struct CameraTable {
     name: Spanned<String>,
     image_size: Spanned<[u32; 2]>,
     images: Option<String>,
+    /// The lens, where it is known and shall not be estimated: its model and its parameters.
+    model: Option<String>,
+    params: Option<Spanned<Vec<f64>>>,
 }
 
 #[derive(Default, Deserialize)]
@@ -96,8 +109,9 @@ pub(crate) fn read_job_file(file: &str, bytes: &[u8]) -> Result<JobFile, Error> 
 
     let target = tables.target.map(|table| read_target(&table, &at)).transpose()?;
     let mut cameras: Vec<CameraSpec> = Vec::new();
+    let mut known_lenses = Vec::new();
     for table in tables.cameras {
-        let CameraTable { name, image_size, images } = table.into_inner();
+        let CameraTable { name, image_size, images, model, params } = table.into_inner();
         if name.as_ref().is_empty() || name.as_ref().chars().any(|c| c.is_control() || "/\\".contains(c)) {
             let message = format!("camera name `{}`: it must be a word without / and \\", name.as_ref());
             return Err(wrong(at(name.span()), &message, None));
@@ -112,6 +126,20 @@ pub(crate) fn read_job_file(file: &str, bytes: &[u8]) -> Result<JobFile, Error> 
                 format!("image_size is [{width}, {height}]: width and height in pixels must be positive");
             return Err(wrong(at(image_size.span()), &message, None));
         }
+        if let Some(params) = params {
+            let refused = |why: String| {
+                let fix = "write model = \"pinhole\" and params = [fx, fy, cx, cy], or the parameters of another model";
+                wrong(at(params.span()), &why, Some(fix))
+            };
+            let model = model.ok_or_else(|| refused("`params` without `model`".to_owned()))?;
+            let model: Model = model.parse().map_err(|error| refused(format!("{error}")))?;
+            let lens = Camera::new(model, params.as_ref().clone(), [width, height]);
+            known_lenses.push((name.as_ref().clone(), lens.map_err(|error| refused(error.to_string()))?));
+        } else if model.is_some() {
+            let fix =
+                "a lens that is known has `params` too; the model of lenses to be estimated is in [options]";
+            return Err(wrong(at(name.span()), "`model` without `params`", Some(fix)));
+        }
         let listed = Listed { name: name.into_inner(), images };
         cameras.push(CameraSpec { listed, image_size: [width, height] });
     }
@@ -122,7 +150,17 @@ pub(crate) fn read_job_file(file: &str, bytes: &[u8]) -> Result<JobFile, Error> 
         return Err(wrong(at(span), &message, Some("leave it out for 1 px")));
     }
     let sigma_px = sigma_px.map(|(_, sigma)| sigma);
-    Ok(JobFile { target, cameras, corners: tables.input.corners, sigma_px, options: tables.options })
+    let robot = tables.robot.map(|table| (at(table.span()), table.into_inner()));
+    let robot = robot.map(|(place, table)| (table, place));
+    Ok(JobFile {
+        target,
+        cameras,
+        corners: tables.input.corners,
+        sigma_px,
+        options: tables.options,
+        robot,
+        known_lenses,
+    })
 }
 
 /// Reads the points of a target: `id,x_m,y_m,z_m`, ids 0, 1, 2, ... in any order.

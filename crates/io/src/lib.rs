@@ -28,7 +28,9 @@ mod json_text;
 mod number;
 mod observations_parquet;
 mod opencv_yaml;
+mod pose_table;
 mod python_literal;
+mod robot_input;
 mod robot_job;
 mod robot_plane_json;
 mod robot_table;
@@ -53,6 +55,8 @@ pub use job::{JOB_FILE, Job, JobOverrides, hash, load_job, read_calibration};
 pub use observations_parquet::{
     OBSERVATIONS_SCHEMA, ObservationRow, attach_residuals, observations_to_parquet, read_observations,
 };
+pub use pose_table::{PoseTable, read_pose_table};
+pub use robot_input::{RobotAxes, RobotInput, RobotOverrides};
 pub use robot_job::{RobotJob, read_robot_job};
 pub use robot_plane_json::{
     PLANE_SCHEMA, PlaneDocument, TouchDocument, TriedDocument, plane_to_json, read_plane,

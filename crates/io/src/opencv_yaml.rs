@@ -20,8 +20,8 @@ const LENS_KEYS: [(&str, &str); 2] = [("camera_matrix", "distortion_coefficients
 const PAIR_KEYS: [[(&str, &str); 2]; 2] = [[("M1", "D1"), ("M2", "D2")], [("K1", "D1"), ("K2", "D2")]];
 const ORTHONORMAL: f64 = 1e-6;
 
-pub(crate) fn carries(_: &Model) -> bool {
-    true
+pub(crate) fn carries(model: &Model) -> bool {
+    matches!(model.name(), "pinhole" | "kannala-brandt4") || model.name().starts_with("opencv")
 }
 
 pub(crate) fn recognizes(bytes: &[u8]) -> bool {

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use boresight_camera::Camera;
 use boresight_data::{
-    Calibration, CameraFit, Geometry, IdVec, Mount, PointId, Provenance, Regularization, Rejection,
-    RejectionReason, Rig, RigCamera, Robot, Scene, Shape, SolveRecord, Target, TargetBelief, TargetMount,
-    Uncertainty, ViewFit,
+    Calibration, CameraFit, Geometry, HeldOut, IdVec, LooseDirection, Motions, Mount, PointId, Provenance,
+    Regularization, Rejection, RejectionReason, Rig, RigCamera, Robot, Scene, Shape, SolveRecord, Target,
+    TargetBelief, TargetMount, Transfer, Uncertainty, ViewFit,
 };
 use boresight_geometry::{Pose, Vector3};
 
@@ -51,6 +51,7 @@ pub(crate) fn calibration(cameras: Vec<Option<RigCamera>>) -> Calibration {
         rejected: Vec::new(),
         regularization: Regularization::default(),
         solve: SolveRecord::default(),
+        held_out: None,
         provenance: Provenance::default(),
     }
 }
@@ -82,6 +83,16 @@ pub(crate) fn sample() -> Calibration {
             covariance: vec![0.25, 1e-300, 1e-300, 1.0 / 3.0],
             unavailable: None,
             baselines_m: BTreeMap::from([("right".to_owned(), [0.083, 1e-5])]),
+            regularization_information: vec![0.0, 1.0 / 7.0],
+            motions: Motions {
+                names: vec!["mean.rx_rad".to_owned()],
+                covariance: vec![1e-7, -0.0, 1.0 / 3.0e6],
+            },
+            loose: vec![LooseDirection {
+                inflation: 1e4 / 3.0,
+                parts: vec![("left.fx".to_owned(), 0.9)],
+                words: "fx of left is not determined".to_owned(),
+            }],
         },
         rejected: vec![
             Rejection {
@@ -104,6 +115,19 @@ pub(crate) fn sample() -> Calibration {
             stop: "predicted decrease 3.1e-9 below 1e-6".to_owned(),
             converged: true,
         },
+        held_out: Some(HeldOut {
+            folds: 2,
+            frames: 2,
+            views: 3,
+            observations: 9,
+            degrees_of_freedom: 6,
+            rms_px: 0.3,
+            in_sample_rms_px: 1.0 / 3.0,
+            ratio: 0.9,
+            cameras_px: BTreeMap::from([("left".to_owned(), 0.31)]),
+            transfer: Some(Transfer { observations: 4, rms_px: 0.5, rms_mm: 1.0 / 3.0 }),
+            untested_views: 1,
+        }),
         provenance: Provenance {
             version: "0.1.0".to_owned(),
             inputs: strings(&[("a.csv", "00ff")]),
@@ -115,6 +139,20 @@ pub(crate) fn sample() -> Calibration {
                 mount: Mount::OnFlange { flange_from_rig: pose(0.1) },
                 target_mount: TargetMount::Fixed { base_from_target: pose(0.2) },
                 tip_in_flange: Some(Vector3::new(0.0, 0.1, 0.2)),
+                stretch: Some(boresight_data::Stretch {
+                    centre_in_base: Vector3::new(0.3, 0.2, 0.1),
+                    matrix: boresight_geometry::Matrix3::new(
+                        1e-3,
+                        0.0,
+                        2.0 / 3.0,
+                        0.0,
+                        1e-4,
+                        0.0,
+                        0.1,
+                        0.0,
+                        0.0,
+                    ),
+                }),
             }),
             targets: IdVec::from(vec![
                 TargetBelief { shape_m: vec![1e-4, -2.0 / 3.0 * 1e-4], first_from_target: Pose::identity() },

@@ -37,6 +37,27 @@ struct Candidate {
     poses: Vec<Option<Pose>>,
 }
 
+/// Finds the poses of all views on a lens that is known; facts about views go to `left_out`.
+pub(crate) fn seed_known_camera(
+    id: CameraId,
+    camera: &Camera,
+    sightings: &[Sighting],
+    left_out: &mut Vec<LeftOut>,
+) -> Result<CameraSeed, LeftOut> {
+    let find = |typical: f64| -> Vec<Option<Resection>> {
+        sightings.iter().map(|sighting| resect(camera, sighting, None, typical)).collect()
+    };
+    // What is usual shows only after a first round, for which a pixel's sigma is a fair guess.
+    let medians: Vec<f64> = find(1.0).iter().flatten().map(|found| found.median).collect();
+    let typical = median(&medians).max(FINE_SIGMAS);
+    let mut resections = find(typical);
+    sort_out(sightings, &mut resections, typical, left_out);
+    if resections.iter().flatten().count() == 0 {
+        return Err(LeftOut::TooFewViews { camera: id, found: 0, need: 1 });
+    }
+    Ok(CameraSeed { camera: camera.clone(), resections, typical })
+}
+
 /// Calibrates one camera; facts about views go to `left_out`.
 pub(crate) fn seed_camera(
     id: CameraId,

@@ -39,7 +39,7 @@ pub(crate) fn freedoms(model: Model, image_size: [u32; 2]) -> Vec<Freedom> {
         ParamGroup::Radial => Freedom::Near(1.0),
         ParamGroup::Rational => Freedom::Near(0.2),
         ParamGroup::Tangential => Freedom::Near(0.05),
-        ParamGroup::ThinPrism | ParamGroup::Tilt => Freedom::Held,
+        ParamGroup::ThinPrism | ParamGroup::Tilt | ParamGroup::Spline => Freedom::Held,
     };
     model.param_groups().into_iter().map(of_group).collect()
 }

@@ -11,11 +11,13 @@
 mod average;
 mod bundle;
 mod graph;
+pub mod hand_eye;
 mod intrinsics;
 mod kernel;
 mod left_out;
 mod lens_fit;
 mod linear;
+mod local_fit;
 mod profile;
 mod radial;
 mod resection;
@@ -27,7 +29,8 @@ mod subset;
 mod three_point;
 mod zhang;
 
-use boresight_camera::Model;
+use boresight_camera::kannala_brandt4::KannalaBrandt4;
+use boresight_camera::{Camera, Model};
 use boresight_data::{CameraId, Dataset, Id as _, Scene};
 
 pub use left_out::LeftOut;
@@ -36,7 +39,7 @@ pub use three_point::{
     triangle_from_sides,
 };
 
-use crate::intrinsics::{CameraSeed, seed_camera};
+use crate::intrinsics::{CameraSeed, seed_camera, seed_known_camera};
 use crate::sighting::Sighting;
 
 /// How a seed is made.
@@ -54,6 +57,8 @@ pub struct SeedOptions {
     pub lens_points_per_view: usize,
     /// At most this many steps refine lens and poses together.
     pub lens_steps: usize,
+    /// The lenses that are known; empty knows none. Four points are enough for their views.
+    pub known: Vec<(CameraId, Camera)>,
 }
 
 impl Default for SeedOptions {
@@ -65,7 +70,22 @@ impl Default for SeedOptions {
             lens_views: 30,
             lens_points_per_view: 80,
             lens_steps: 10,
+            known: Vec::new(),
         }
+    }
+}
+
+/// What a lens with local support is fitted to: a lens that sees beyond 90 degrees.
+const STAND_IN: Model = Model::KannalaBrandt4(KannalaBrandt4);
+
+impl SeedOptions {
+    fn model_of(&self, camera: CameraId) -> Model {
+        self.models[if self.models.len() == 1 { 0 } else { camera.index() }]
+    }
+
+    /// Returns the lens of a camera, if it is known.
+    fn known(&self, camera: CameraId) -> Option<&Camera> {
+        self.known.iter().find(|(known, _)| *known == camera).map(|(_, lens)| lens)
     }
 }
 
@@ -108,6 +128,14 @@ pub enum Error {
         /// How many it takes.
         need: usize,
     },
+    /// A camera's seed shows too little of its image to fit the lens model to.
+    #[error("the seed of camera {camera} sees too little of its image for lens model {model}")]
+    NoLocalFit {
+        /// The camera's name.
+        camera: String,
+        /// The lens model.
+        model: Model,
+    },
     /// No camera could be calibrated.
     #[error("none of the {cameras} cameras could be calibrated: {}", reasons.join("; "))]
     NoUsableCamera {
@@ -133,7 +161,8 @@ pub fn seed(dataset: &Dataset, options: &SeedOptions) -> Result<Seed, Error> {
     let mut left_out = Vec::new();
     let mut sightings: Vec<Vec<Sighting>> = vec![Vec::new(); n_cameras];
     for (view_idx, view) in dataset.views.iter().enumerate() {
-        match Sighting::new(view_idx, view, &dataset.targets[view.target], options.min_points.max(4)) {
+        let min_points = if options.known(view.camera).is_some() { 4 } else { options.min_points.max(4) };
+        match Sighting::new(view_idx, view, &dataset.targets[view.target], min_points) {
             Ok(sighting) => sightings[view.camera.index()].push(sighting),
             Err(fact) => left_out.push(fact),
         }
@@ -141,14 +170,27 @@ pub fn seed(dataset: &Dataset, options: &SeedOptions) -> Result<Seed, Error> {
     let mut cameras: Vec<Option<CameraSeed>> = Vec::with_capacity(n_cameras);
     let mut camera_facts = Vec::new();
     for (id, info) in dataset.cameras.enumerate() {
-        let model = options.models[if options.models.len() == 1 { 0 } else { id.index() }];
-        let seeded = seed_camera(id, info, model, &sightings[id.index()], options, &mut left_out);
+        let model = options.model_of(id);
+        // A lens with local support has too many parameters to be found from little; it is fitted last.
+        let first = if model.local_support().is_some() { STAND_IN } else { model };
+        let of_camera = &sightings[id.index()];
+        let seeded = match options.known(id) {
+            Some(lens) => seed_known_camera(id, lens, of_camera, &mut left_out),
+            None => seed_camera(id, info, first, of_camera, options, &mut left_out),
+        };
         cameras.push(seeded.map_err(|fact| camera_facts.push(fact)).ok());
     }
     if cameras.iter().all(Option::is_none) {
         return Err(nothing_usable(dataset, &camera_facts));
     }
-    let scene = rig::assemble(dataset, &sightings, cameras, &mut camera_facts, &mut left_out);
+    let mut scene = rig::assemble(dataset, &sightings, cameras, &mut camera_facts, &mut left_out);
+    for (id, camera) in dataset.cameras.ids().zip(scene.rig.cameras.iter_mut()) {
+        let (model, Some(camera)) = (options.model_of(id), camera) else { continue };
+        if model.local_support().is_some() {
+            camera.camera = local_fit::camera_from_lens(model, &camera.camera)
+                .ok_or_else(|| Error::NoLocalFit { camera: dataset.cameras[id].name.clone(), model })?;
+        }
+    }
     left_out.sort_by_key(LeftOut::view_idx);
     camera_facts.append(&mut left_out);
     Ok(Seed { scene, left_out: camera_facts })

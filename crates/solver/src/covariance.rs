@@ -1,14 +1,16 @@
 //! The covariance at the optimum, from the factor of the reduced system.
 
-use faer::Mat;
+mod linear;
 
 use crate::Error;
 use crate::linearization::{GroupSums, Linearization, SIDE};
 use crate::options::SolveOptions;
-use crate::problem::{BlockId, Elimination, Problem};
+use crate::problem::{BlockId, Elimination, Problem, Scratch};
+use crate::reduced::Inverse;
 use crate::solve::threads;
 use crate::step::{StepSolver, backward, cholesky, forward};
 use crate::structure::{HELD, Structure};
+pub use linear::LinearFunctions;
 
 /// The least reciprocal condition of the scaled reduced system with which its inverse means something.
 const LEAST_RECIPROCAL_CONDITION: f64 = 1e-14;
@@ -17,7 +19,9 @@ const LEAST_RECIPROCAL_CONDITION: f64 = 1e-14;
 #[derive(Debug)]
 pub struct Covariance {
     structure: Structure,
-    reduced: Mat<f64>,
+    reduced: Inverse,
+    /// The diagonal of the reduced system, by reduced column: what is known of a column if all others are known.
+    information: Vec<f64>,
     /// For each eliminated block: its own inverse, and its dependence on the reduced columns.
     eliminated: Vec<Option<Eliminated>>,
     /// The cost of the observations at the optimum.
@@ -40,13 +44,20 @@ pub fn covariance(
     values: &[f64],
     options: &SolveOptions,
 ) -> Result<Covariance, Error> {
-    let structure = Structure::new(problem);
+    covariance_of(problem, Structure::new(problem, values), values, options)
+}
+
+/// Returns the covariance of a problem with this structure.
+fn covariance_of(
+    problem: &Problem<'_>,
+    structure: Structure,
+    values: &[f64],
+    options: &SolveOptions,
+) -> Result<Covariance, Error> {
     let mut model = Linearization::new(&structure);
     let rows: usize = problem.terms.iter().map(|term| term.row_count()).sum();
     let threads = threads(rows, options)?;
-    model
-        .evaluate(problem, &structure, values, &threads)
-        .map_err(|term_idx| Error::UndefinedStart { term_idx })?;
+    model.evaluate(problem, &structure, values, &threads, &mut Scratch::default())?;
     for (group, sums) in structure.groups.iter().zip(model.groups()) {
         if let Some(block) = group.eliminated
             && cholesky(&sums.own).is_none()
@@ -58,7 +69,7 @@ pub fn covariance(
     let singular = |reciprocal_condition, direction: Vec<f64>| Error::Singular {
         reciprocal_condition,
         limit: LEAST_RECIPROCAL_CONDITION,
-        columns: dominant(&direction),
+        columns: dominant(&direction, &structure.natural_columns),
     };
     let factored = steps.factor(&structure, &model, 0.0, &threads);
     let lost = steps.reduced.lost_columns(&model.reduced, LEAST_RECIPROCAL_CONDITION);
@@ -90,7 +101,8 @@ pub fn covariance(
         }
     }
     Ok(Covariance {
-        reduced: steps.reduced.inverse(),
+        information: steps.reduced.diagonal.clone(),
+        reduced: steps.reduced.into_inverse(),
         structure,
         eliminated,
         observation_cost: model.observation_cost,
@@ -99,9 +111,10 @@ pub fn covariance(
 }
 
 /// Returns the entries of a direction that matter most, with their shares of its square.
-fn dominant(direction: &[f64]) -> Vec<(usize, f64)> {
+fn dominant(direction: &[f64], natural_columns: &[u32]) -> Vec<(usize, f64)> {
     let total: f64 = direction.iter().map(|x| x * x).sum();
-    let mut shares: Vec<(usize, f64)> = direction.iter().map(|x| x * x / total).enumerate().collect();
+    let share = |(x, &column): (&f64, &u32)| (column as usize, x * x / total);
+    let mut shares: Vec<(usize, f64)> = direction.iter().zip(natural_columns).map(share).collect();
     shares.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
     shares.retain(|(_, share)| *share > 0.05);
     shares.truncate(6);
@@ -114,9 +127,17 @@ impl Covariance {
     /// Blocks that were eliminated first are not among these; see [`eliminated`](Self::eliminated).
     pub fn between(&self, a: (BlockId, usize), b: (BlockId, usize)) -> f64 {
         match (self.reduced_column(a), self.reduced_column(b)) {
-            (Some(a), Some(b)) => self.reduced[(a, b)],
+            (Some(a), Some(b)) => self.reduced.entry(a, b),
             _ => 0.0,
         }
+    }
+
+    /// Returns the reciprocal variance that a column would have if all other columns but those eliminated
+    /// first were known; `None` for a held column or one of an eliminated block.
+    ///
+    /// Times the column's own variance this is how much the other columns take of what is known of it.
+    pub fn information(&self, column: (BlockId, usize)) -> Option<f64> {
+        self.reduced_column(column).map(|column| self.information[column])
     }
 
     /// Returns the block and column of a reduced column, as [`Error::Singular`] names them.
@@ -148,7 +169,8 @@ impl Covariance {
             for (place, &column) in columns.iter().enumerate() {
                 spread[k * n + place] = (0..n)
                     .map(|other| {
-                        dependence[k * n + other] * self.reduced[(columns[other] as usize, column as usize)]
+                        dependence[k * n + other]
+                            * self.reduced.entry(columns[other] as usize, column as usize)
                     })
                     .sum();
             }
@@ -160,6 +182,30 @@ impl Covariance {
             }
         }
         Some(covariance)
+    }
+
+    /// Returns the covariance of the columns of a block that was eliminated first with those of a reduced block.
+    ///
+    /// A row for each of the first's columns; zero where either is held or no term sees the first.
+    pub fn eliminated_with(&self, block: BlockId, reduced: BlockId) -> Vec<Vec<f64>> {
+        let columns = &self.structure.reduced_columns[reduced.0];
+        let mut covariance = vec![vec![0.0; columns.len()]; SIDE];
+        let Some(eliminated) = self.eliminated[block.0].as_ref() else { return covariance };
+        let n = eliminated.columns.len();
+        for (k, row) in covariance.iter_mut().enumerate() {
+            for (entry, &column) in row.iter_mut().zip(columns) {
+                if column != HELD {
+                    // -(V⁻¹ W) Σ.
+                    *entry = -(0..n)
+                        .map(|other| {
+                            let row = eliminated.columns[other] as usize;
+                            eliminated.dependence[k * n + other] * self.reduced.entry(row, column as usize)
+                        })
+                        .sum::<f64>();
+                }
+            }
+        }
+        covariance
     }
 
     fn reduced_column(&self, (block, column): (BlockId, usize)) -> Option<usize> {
@@ -193,3 +239,7 @@ impl Eliminated {
         Self { own_inverse, dependence, columns: columns.to_vec() }
     }
 }
+
+#[cfg(test)]
+#[path = "covariance/tests.rs"]
+mod tests;

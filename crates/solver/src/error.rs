@@ -1,6 +1,7 @@
 //! What can keep a problem from being solved.
 
 use crate::BlockId;
+use crate::linearization::Failure;
 
 /// Why a problem was not solved.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -44,6 +45,9 @@ pub enum Error {
         /// The first such term, in the order of evaluation.
         term_idx: usize,
     },
+    /// A term with local support touches columns outside the support that it named at these very values.
+    #[error("a term touches columns outside the support that it named at the same values")]
+    OutsideSupport,
     /// There are fewer rows than unknowns.
     #[error("{unknowns} unknowns against {rows} rows of observations and priors")]
     TooFewRows {
@@ -87,4 +91,13 @@ pub enum Error {
         /// What the system said.
         problem: String,
     },
+}
+
+impl From<Failure> for Error {
+    fn from(failure: Failure) -> Self {
+        match failure {
+            Failure::Undefined { term_idx } => Self::UndefinedStart { term_idx },
+            Failure::OutsideSupport => Self::OutsideSupport,
+        }
+    }
 }

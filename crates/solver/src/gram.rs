@@ -27,8 +27,7 @@ pub enum Row {
 /// The products of all pairs of columns, summed over rows.
 #[derive(Clone, Debug, Default)]
 pub struct PairGram {
-    n_blocks: usize,
-    /// Tiles of the first block for u, those for v, then the others by rows of the upper triangle.
+    /// Tiles of the first block for u, those for v, then the others by rows of the upper triangle; then a zero.
     tiles: Vec<f64>,
 }
 
@@ -39,32 +38,45 @@ const ORDER_OF_EIGHT_LANES: [u8; TILE] = [0, 8, 2, 10, 1, 9, 3, 11, 4, 12, 6, 14
 const ORDER_OF_ROWS: [u8; TILE] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
 
 impl PairGram {
-    /// Forgets all sums and takes `n_blocks` blocks of columns.
-    pub fn reset(&mut self, n_blocks: usize) {
-        self.n_blocks = n_blocks;
+    /// Returns the number of sums over rows of `n_columns`.
+    pub fn sum_count(n_columns: usize) -> usize {
+        let n_blocks = n_columns.div_ceil(BLOCK);
+        (2 * n_blocks + n_blocks * (n_blocks - 1) / 2) * TILE
+    }
+
+    /// Makes all sums over rows of `n_columns` zero.
+    pub fn clear(&mut self, n_columns: usize) {
         self.tiles.clear();
-        self.tiles.resize((2 * n_blocks + n_blocks * (n_blocks - 1) / 2) * TILE, 0.0);
+        self.tiles.resize(Self::sum_count(n_columns) + 1, 0.0);
     }
 
-    /// Adds the products of the rows in `u` and `v`, each a sequence of chunks of `n_blocks` blocks.
+    /// Makes the sums those over the rows in `u` and `v`, or adds them to what is there.
+    ///
+    /// Rows are sequences of chunks, each of a register for each column and as many idle ones as fill
+    /// the last block.
     #[inline(always)]
-    pub fn add<S: Simd>(&mut self, simd: S, u: &[[S::f64s; BLOCK]], v: &[[S::f64s; BLOCK]]) {
-        let n_blocks = self.n_blocks;
-        let (tiles, _) = self.tiles.as_chunks_mut::<TILE>();
-        let mut tiles = tiles.iter_mut();
-        for rows in [u, v] {
-            for (tile, j) in (&mut tiles).take(n_blocks).zip(0..n_blocks) {
-                add_tile(simd, [rows, &[]], n_blocks, 0, j, tile);
-            }
-        }
-        for i in 1..n_blocks {
-            for (tile, j) in (&mut tiles).take(n_blocks - i).zip(i..n_blocks) {
-                add_tile(simd, [u, v], n_blocks, i, j, tile);
-            }
+    pub fn sum<S: Simd>(
+        &mut self,
+        simd: S,
+        n_columns: usize,
+        u: &[S::f64s],
+        v: &[S::f64s],
+        previous: Previous,
+    ) {
+        let n_sums = Self::sum_count(n_columns);
+        self.tiles.resize(n_sums + 1, 0.0);
+        self.tiles[n_sums] = 0.0;
+        let tiles = Tiles { n_blocks: n_columns.div_ceil(BLOCK), previous };
+        // The last block of columns may be narrow; its width is a constant of the code.
+        match (n_columns - 1) % BLOCK {
+            0 => tiles.sum::<S, 1>(simd, u, v, &mut self.tiles),
+            1 => tiles.sum::<S, 2>(simd, u, v, &mut self.tiles),
+            2 => tiles.sum::<S, 3>(simd, u, v, &mut self.tiles),
+            _ => tiles.sum::<S, BLOCK>(simd, u, v, &mut self.tiles),
         }
     }
 
-    /// Returns all sums as they lie; see [`place`](Self::place).
+    /// Returns all sums as they lie, see [`place`](Self::place), and after them a zero.
     pub fn sums(&self) -> &[f64] {
         &self.tiles
     }
@@ -73,7 +85,8 @@ impl PairGram {
     ///
     /// A single row is known only where one of the columns is in the first block, and there it takes
     /// both rows to make the sum over both. The place depends on the number of lanes of the machine.
-    pub fn place(n_blocks: usize, n_lanes: usize, row: Row, a: usize, b: usize) -> usize {
+    pub fn place(n_columns: usize, n_lanes: usize, row: Row, a: usize, b: usize) -> usize {
+        let n_blocks = n_columns.div_ceil(BLOCK);
         let (a, b) = (a.min(b), a.max(b));
         let (i, j) = (a / BLOCK, b / BLOCK);
         let order = if n_lanes == MAX_LANES { &ORDER_OF_EIGHT_LANES } else { &ORDER_OF_ROWS };
@@ -87,54 +100,118 @@ impl PairGram {
     }
 }
 
-/// Adds the products of block `i` with block `j`, with as many accumulators as the machine has room for.
-#[inline(always)]
-fn add_tile<S: Simd>(
-    simd: S,
-    families: [&[[S::f64s; BLOCK]]; 2],
+/// What becomes of the sums that are there already.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Previous {
+    /// They are added to.
+    Kept,
+    /// They are forgotten.
+    Forgotten,
+}
+
+/// The tiles of a matrix of products.
+#[derive(Clone, Copy)]
+struct Tiles {
     n_blocks: usize,
-    i: usize,
-    j: usize,
-    tile: &mut [f64; TILE],
-) {
-    if S::REGISTER_COUNT >= 32 {
-        let sums: [[S::f64s; BLOCK]; 4] = multiply(simd, families, n_blocks, i, j, 0);
-        add_sums(simd, &sums, tile);
-    } else {
-        // Sixteen accumulators would spill where there are sixteen registers in all.
-        let [a, b]: [[S::f64s; BLOCK]; 2] = multiply(simd, families, n_blocks, i, j, 0);
-        let [c, d]: [[S::f64s; BLOCK]; 2] = multiply(simd, families, n_blocks, i, j, 2);
-        add_sums(simd, &[a, b, c, d], tile);
+    previous: Previous,
+}
+
+impl Tiles {
+    /// Sums all tiles; the last block has `LAST` columns.
+    #[inline(always)]
+    fn sum<S: Simd, const LAST: usize>(self, simd: S, u: &[S::f64s], v: &[S::f64s], tiles: &mut [f64]) {
+        let (u, _) = u.as_chunks::<BLOCK>();
+        let (v, _) = v.as_chunks::<BLOCK>();
+        let (tiles, _) = tiles.as_chunks_mut::<TILE>();
+        let mut tiles = tiles.iter_mut();
+        for rows in [u, v] {
+            self.row::<S, LAST>(simd, [rows, &[]], 0, &mut tiles);
+        }
+        for i in 1..self.n_blocks {
+            self.row::<S, LAST>(simd, [u, v], i, &mut tiles);
+        }
+    }
+
+    /// Sums the tiles of block `i` with itself and those after it.
+    #[inline(always)]
+    fn row<'t, S: Simd, const LAST: usize>(
+        self,
+        simd: S,
+        families: [&[[S::f64s; BLOCK]]; 2],
+        i: usize,
+        tiles: &mut impl Iterator<Item = &'t mut [f64; TILE]>,
+    ) {
+        let last = self.n_blocks - 1;
+        for j in i..=last {
+            let Some(tile) = tiles.next() else { return };
+            match (i == j, j == last) {
+                (false, false) => self.tile::<S, BLOCK, false>(simd, families, i, j, tile),
+                (false, true) => self.tile::<S, LAST, false>(simd, families, i, j, tile),
+                (true, false) => self.tile::<S, BLOCK, true>(simd, families, i, j, tile),
+                (true, true) => self.tile::<S, LAST, true>(simd, families, i, j, tile),
+            }
+        }
+    }
+
+    /// Sums the products of block `i` with `C` columns of block `j`, with as many accumulators as the
+    /// machine has room for; below the diagonal of a `DIAGONAL` tile nothing is multiplied.
+    #[inline(always)]
+    fn tile<S: Simd, const C: usize, const DIAGONAL: bool>(
+        self,
+        simd: S,
+        families: [&[[S::f64s; BLOCK]]; 2],
+        i: usize,
+        j: usize,
+        tile: &mut [f64; TILE],
+    ) {
+        let n_blocks = self.n_blocks;
+        let zero = simd.splat_f64s(0.0);
+        let mut sums = [[zero; BLOCK]; BLOCK];
+        if S::REGISTER_COUNT >= 32 {
+            for rows in families {
+                multiply::<S, C, 0, BLOCK, DIAGONAL>(simd, rows, n_blocks, i, j, &mut sums);
+            }
+        } else {
+            // Sixteen accumulators would spill where there are sixteen registers in all.
+            for rows in families {
+                multiply::<S, C, 0, 2, DIAGONAL>(simd, rows, n_blocks, i, j, &mut sums);
+            }
+            for rows in families {
+                multiply::<S, C, 2, BLOCK, DIAGONAL>(simd, rows, n_blocks, i, j, &mut sums);
+            }
+        }
+        reduce(simd, &sums, self.previous, tile);
     }
 }
 
-/// Returns the lane-wise products of columns `first..first + R` of block `i` with those of block `j`.
+/// Adds the lane-wise products of columns `FIRST..END` of block `i` with `C` columns of block `j`.
 #[inline(always)]
-fn multiply<S: Simd, const R: usize>(
+fn multiply<S: Simd, const C: usize, const FIRST: usize, const END: usize, const DIAGONAL: bool>(
     simd: S,
-    families: [&[[S::f64s; BLOCK]]; 2],
+    rows: &[[S::f64s; BLOCK]],
     n_blocks: usize,
     i: usize,
     j: usize,
-    first: usize,
-) -> [[S::f64s; BLOCK]; R] {
-    let mut sums = [[simd.splat_f64s(0.0); BLOCK]; R];
-    for rows in families {
-        for chunk in rows.chunks_exact(n_blocks) {
-            let (a, b) = (&chunk[i], &chunk[j]);
-            for r in 0..R {
-                for c in 0..BLOCK {
-                    sums[r][c] = simd.mul_add_f64s(a[first + r], b[c], sums[r][c]);
+    sums: &mut [[S::f64s; BLOCK]; BLOCK],
+) {
+    for chunk in rows.chunks_exact(n_blocks) {
+        let (a, b) = (&chunk[i], &chunk[j]);
+        for r in FIRST..END {
+            if DIAGONAL && r >= C {
+                break;
+            }
+            for c in 0..C {
+                if !DIAGONAL || c >= r {
+                    sums[r][c] = simd.mul_add_f64s(a[r], b[c], sums[r][c]);
                 }
             }
         }
     }
-    sums
 }
 
-/// Reduces each of 4x4 registers to its sum and adds that to the tile.
+/// Reduces each of 4x4 registers to its sum and puts it in the tile.
 #[inline(always)]
-fn add_sums<S: Simd>(simd: S, sums: &[[S::f64s; BLOCK]; BLOCK], tile: &mut [f64; TILE]) {
+fn reduce<S: Simd>(simd: S, sums: &[[S::f64s; BLOCK]; BLOCK], previous: Previous, tile: &mut [f64; TILE]) {
     if S::F64_LANES == MAX_LANES {
         // The first transposition leaves two partial sums for each column, the second adds those:
         // 54 instructions where sixteen separate reductions take twice as many.
@@ -146,14 +223,18 @@ fn add_sums<S: Simd>(simd: S, sums: &[[S::f64s; BLOCK]; BLOCK], tile: &mut [f64;
             halves[r] = simd.add_f64s(simd.add_f64s(a, b), simd.add_f64s(c, d));
         }
         let [a, b, c, d] = simd.deinterleave_shfl_f64s(halves);
+        let mut found = [simd.add_f64s(a, c), simd.add_f64s(b, d)];
         // Whole registers: partial loads go through a table of masks.
         let (registers, _) = S::as_mut_simd_f64s(tile);
-        registers[0] = simd.add_f64s(registers[0], simd.add_f64s(a, c));
-        registers[1] = simd.add_f64s(registers[1], simd.add_f64s(b, d));
+        if previous == Previous::Kept {
+            found = [simd.add_f64s(registers[0], found[0]), simd.add_f64s(registers[1], found[1])];
+        }
+        registers[..2].copy_from_slice(&found);
     } else {
         for (sums, tile) in sums.iter().zip(tile.chunks_exact_mut(BLOCK)) {
             for (&sum, tile) in sums.iter().zip(tile) {
-                *tile += simd.reduce_sum_f64s(sum);
+                let before = if previous == Previous::Kept { *tile } else { 0.0 };
+                *tile = before + simd.reduce_sum_f64s(sum);
             }
         }
     }
@@ -167,7 +248,7 @@ mod tests {
 
     /// Fills rows with arbitrary numbers and compares every product with the plain double loop.
     struct SameAsPlainLoop {
-        n_blocks: usize,
+        n_columns: usize,
         n_chunks: usize,
     }
 
@@ -175,29 +256,33 @@ mod tests {
         type Output = ();
 
         fn with_simd<S: Simd>(self, simd: S) {
-            let n_columns = self.n_blocks * BLOCK;
+            let n_columns = self.n_columns;
+            let n_blocks = n_columns.div_ceil(BLOCK);
             let n_points = self.n_chunks * S::F64_LANES;
             let entry = |row: usize, point: usize, column: usize| {
                 ((row * 7919 + point * 104_729 + column * 1_299_709) % 1013) as f64 / 1013.0 - 0.4
             };
-            let rows = |row: usize| -> Vec<[S::f64s; BLOCK]> {
+            let rows = |row: usize| -> Vec<S::f64s> {
                 let register = |chunk: usize, column: usize| {
                     let lanes: Vec<f64> =
                         (0..S::F64_LANES).map(|l| entry(row, chunk * S::F64_LANES + l, column)).collect();
                     simd.partial_load_f64s(&lanes)
                 };
-                let block = |k: usize| {
-                    [0, 1, 2, 3].map(|c| register(k / self.n_blocks, k % self.n_blocks * BLOCK + c))
-                };
-                (0..self.n_chunks * self.n_blocks).map(block).collect()
+                // What stands in idle columns does not matter.
+                let stride = n_blocks * BLOCK;
+                (0..self.n_chunks * stride).map(|k| register(k / stride, k % stride)).collect()
             };
+            let (u, v) = (rows(0), rows(1));
             let mut gram = PairGram::default();
-            gram.reset(self.n_blocks);
-            gram.add(simd, &rows(0), &rows(1));
+            // The second time in two parts.
+            gram.sum(simd, n_columns, &u, &v, Previous::Forgotten);
+            let cut = self.n_chunks / 2 * n_blocks * BLOCK;
+            gram.sum(simd, n_columns, &u[..cut], &v[..cut], Previous::Forgotten);
+            gram.sum(simd, n_columns, &u[cut..], &v[cut..], Previous::Kept);
             for a in 0..n_columns {
                 for b in 0..n_columns {
                     let plain = |row| (0..n_points).map(|p| entry(row, p, a) * entry(row, p, b)).sum::<f64>();
-                    let sum = |row| gram.sums()[PairGram::place(self.n_blocks, S::F64_LANES, row, a, b)];
+                    let sum = |row| gram.sums()[PairGram::place(n_columns, S::F64_LANES, row, a, b)];
                     // Sums of a hundred products near one are good to 1e-13.
                     if a.min(b) < BLOCK {
                         assert!((sum(Row::U) - plain(0)).abs() < 1e-11, "{a} {b}");
@@ -212,10 +297,10 @@ mod tests {
 
     #[test]
     fn products_match_the_plain_loop() {
-        for n_blocks in 1..=6 {
+        for n_columns in 1..=22 {
             for n_chunks in [1, 2, 13] {
-                Arch::new().dispatch(SameAsPlainLoop { n_blocks, n_chunks });
-                SameAsPlainLoop { n_blocks, n_chunks }.with_simd(pulp::Scalar::new());
+                Arch::new().dispatch(SameAsPlainLoop { n_columns, n_chunks });
+                SameAsPlainLoop { n_columns, n_chunks }.with_simd(pulp::Scalar::new());
             }
         }
     }

@@ -2,11 +2,21 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+pub use boresight_geometry::MAX_LANES;
 use boresight_geometry::Scalar;
-use pulp::Simd;
+use pulp::{Arch, Simd, WithSimd};
 
-/// The widest register of any instruction set that `pulp` dispatches to, in `f64`s.
-pub const MAX_LANES: usize = 8;
+/// Returns the number of `f64`s in a register of this machine, as `pulp` dispatches.
+pub fn count() -> usize {
+    struct Count;
+    impl WithSimd for Count {
+        type Output = usize;
+        fn with_simd<S: Simd>(self, _: S) -> usize {
+            S::F64_LANES
+        }
+    }
+    Arch::new().dispatch(Count)
+}
 
 /// One SIMD register of `f64`s, with the token that proves the machine has such registers.
 ///
@@ -90,6 +100,9 @@ impl<S: Simd> Neg for Lanes<S> {
 }
 
 impl<S: Simd> Scalar for Lanes<S> {
+    // The widest register of any instruction set that `pulp` dispatches to is that of AVX-512: eight.
+    const LANES: usize = S::F64_LANES;
+
     #[inline(always)]
     fn like(self, value: f64) -> Self {
         Self::splat(self.simd, value)
@@ -128,8 +141,8 @@ impl<S: Simd> Scalar for Lanes<S> {
     #[inline(always)]
     fn all_above(self, limit: f64) -> bool {
         let above = self.simd.greater_than_f64s(self.value, self.simd.splat_f64s(limit));
-        let (one, zero) = (self.simd.splat_f64s(1.0), self.simd.splat_f64s(0.0));
-        self.simd.reduce_min_f64s(self.simd.select_f64s(above, one, zero)) > 0.5
+        let all = self.simd.less_than_f64s(self.simd.splat_f64s(0.0), self.simd.splat_f64s(1.0));
+        self.simd.first_true_m64s(self.simd.xor_m64s(above, all)) >= Self::COUNT
     }
 
     #[inline(always)]
@@ -137,12 +150,22 @@ impl<S: Simd> Scalar for Lanes<S> {
         let below = self.simd.less_than_f64s(self.value, self.simd.splat_f64s(limit));
         Self { simd: self.simd, value: self.simd.select_f64s(below, if_below.value, otherwise.value) }
     }
+
+    #[inline(always)]
+    fn lane(self, lane: usize) -> f64 {
+        self.to_array()[lane]
+    }
+
+    #[inline(always)]
+    fn with_lane(self, lane: usize, other: Self) -> Self {
+        let mut array = self.to_array();
+        array[lane] = other.to_array()[lane];
+        Self::from_array(self.simd, &array)
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use pulp::{Arch, WithSimd};
-
     use super::*;
 
     /// Checks that lanes compute what `f64` computes, one by one.
@@ -168,6 +191,10 @@ mod tests {
             check(x.sin() + x.cos(), &|x| x.sin() + x.cos());
             check(x.atan2(x.like(0.5)), &|x| x.atan2(0.5));
             check(x.select_below(0.4, x.like(1.0), x), &|x| if x < 0.4 { 1.0 } else { x });
+            assert!((0..Lanes::<S>::COUNT).all(|i| x.lane(i) == input[i]));
+            let last = Lanes::<S>::COUNT - 1;
+            let mixed = x.with_lane(last, x.like(7.0));
+            assert!((0..last).all(|i| mixed.lane(i) == input[i]) && mixed.lane(last) == 7.0);
             assert!(x.like(1.0).all_above(0.5) && !x.like(f64::NAN).all_above(0.5));
             if Lanes::<S>::COUNT > 1 {
                 assert!(!x.all_above(-1.0));

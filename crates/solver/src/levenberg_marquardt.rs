@@ -9,9 +9,9 @@ use argmin::core::{IterState, KV, Solver, State as _, TerminationReason};
 use argmin::kv;
 
 use crate::Error;
-use crate::linearization::{Linearization, Threads};
+use crate::linearization::{Failure, Linearization, Threads};
 use crate::options::SolveOptions;
-use crate::problem::Problem;
+use crate::problem::{Problem, Scratch};
 use crate::step::StepSolver;
 use crate::stop::Stop;
 use crate::structure::Structure;
@@ -55,6 +55,7 @@ pub(crate) struct LevenbergMarquardt<'a> {
     model: Linearization,
     trial: Linearization,
     steps: StepSolver,
+    scratch: Scratch,
     trial_values: Vec<f64>,
     /// The damping of the next step.
     pub damping: f64,
@@ -72,13 +73,14 @@ impl<'a> LevenbergMarquardt<'a> {
         threads: Threads,
         options: &'a SolveOptions,
     ) -> Result<Self, Error> {
-        let structure = Structure::new(problem);
+        let structure = Structure::new(problem, values);
         let mut search = Self {
             options,
             threads,
             model: Linearization::new(&structure),
             trial: Linearization::new(&structure),
             steps: StepSolver::new(&structure),
+            scratch: Scratch::default(),
             trial_values: Vec::with_capacity(values.len()),
             structure,
             damping: options.first_damping,
@@ -93,9 +95,17 @@ impl<'a> LevenbergMarquardt<'a> {
     /// Evaluates the model at `values`, from where the next step is taken.
     pub(crate) fn move_to(&mut self, problem: &Problem<'_>, values: &[f64]) -> Result<(), Error> {
         self.counters.evaluations += 1;
-        self.model
-            .evaluate(problem, &self.structure, values, &self.threads)
-            .map_err(|term_idx| Error::UndefinedStart { term_idx })
+        let Self { structure, threads, model, scratch, .. } = self;
+        match model.evaluate(problem, structure, values, threads, scratch) {
+            Err(Failure::OutsideSupport) => {
+                *structure = Structure::new(problem, values);
+                *model = Linearization::new(structure);
+                self.trial = Linearization::new(structure);
+                self.steps = StepSolver::new(structure);
+                Ok(model.evaluate(problem, structure, values, threads, scratch)?)
+            }
+            outcome => Ok(outcome?),
+        }
     }
 
     /// Returns the cost of the model.
@@ -105,7 +115,7 @@ impl<'a> LevenbergMarquardt<'a> {
 
     /// Takes one step, trying shorter ones until the cost falls, or finds why there is none.
     fn step(&mut self, problem: &Problem<'_>, values: &mut Vec<f64>) -> Result<f64, Stop> {
-        let Self { structure, threads, model, trial, steps, trial_values, .. } = self;
+        let Self { structure, threads, model, trial, steps, trial_values, scratch, .. } = self;
         let n_rows = problem.observation_rows();
         let degrees_of_freedom = n_rows.saturating_sub(problem.parameters.free_count()).max(1);
         let cost = model.cost();
@@ -134,14 +144,33 @@ impl<'a> LevenbergMarquardt<'a> {
                     return Err(Stop::PredictedDecrease { predicted, below });
                 }
                 self.counters.evaluations += 1;
-                if trial.evaluate(problem, structure, trial_values, threads).is_ok() {
-                    let decrease = cost - trial.cost();
+                let outcome = trial.evaluate(problem, structure, trial_values, threads, scratch);
+                // Where terms leave their support, another structure fits.
+                let other = (outcome == Err(Failure::OutsideSupport)).then(|| {
+                    let other = Structure::new(problem, trial_values);
+                    let mut model = Linearization::new(&other);
+                    let outcome = model.evaluate(problem, &other, trial_values, threads, scratch);
+                    (other, model, outcome)
+                });
+                let trial_cost = match &other {
+                    None => outcome.map(|()| trial.cost()),
+                    Some((_, model, outcome)) => outcome.map(|()| model.cost()),
+                };
+                if let Ok(trial_cost) = trial_cost {
+                    let decrease = cost - trial_cost;
                     if decrease > 0.0 {
                         let gain = decrease / predicted;
                         let shrink = (1.0 - (2.0 * gain - 1.0).powi(3)).max(LEAST_SHRINK);
                         self.damping = (self.damping * shrink).max(LEAST_DAMPING);
                         self.growth = 2.0;
-                        std::mem::swap(model, trial);
+                        match other {
+                            None => std::mem::swap(model, trial),
+                            Some((other, other_model, _)) => {
+                                *trial = Linearization::new(&other);
+                                *steps = StepSolver::new(&other);
+                                (*structure, *model) = (other, other_model);
+                            }
+                        }
                         std::mem::swap(values, trial_values);
                         return Ok(predicted);
                     }

@@ -7,24 +7,34 @@
 //! Architecture invariant: the solver does not know what a camera is.
 
 mod checkpoint;
+mod composite;
 mod covariance;
 mod error;
 pub mod gram;
 pub mod lanes;
 mod levenberg_marquardt;
 mod linearization;
+mod local;
 mod options;
+mod ordering;
+mod pattern;
 mod prior;
 mod problem;
 mod reduced;
+mod scatter;
 mod solve;
+mod sparse;
 mod step;
 mod stop;
 mod structure;
 
-pub use covariance::{Covariance, covariance};
+pub use composite::{
+    CompositeColumns, CompositeTerm, LinkMap, Links, MAX_LINKS, Weighed, linearize_composite,
+};
+pub use covariance::{Covariance, LinearFunctions, covariance};
 pub use error::Error;
 pub use levenberg_marquardt::Counters;
+pub use local::{Accumulated, EliminatedSums, LocalTerm};
 pub use options::{Checkpointing, Observer, Progress, SolveOptions};
 pub use prior::{PosePrior, VectorPrior};
 pub use problem::{BlockId, Elimination, GramMut, Parameters, Problem, Scratch, Term, TermKind, Values};

@@ -1,9 +1,13 @@
 //! The problem's quadratic model at one point: block diagonals, couplings and gradients.
 
+use pulp::Arch;
 use rayon::prelude::*;
 
-use crate::problem::{GramMut, Problem, Scratch, TermKind};
-use crate::structure::{CouplingRun, HELD, Structure};
+use crate::composite::{AddComposite, CompositeSums, CompositeTerm};
+use crate::lanes::MAX_LANES;
+use crate::local::{Accumulated, EliminatedSums, LocalTerm};
+use crate::problem::{BlockId, GramMut, Problem, Scratch, Term, TermKind, Values};
+use crate::structure::{CouplingRun, HELD, Signature, Structure, TermPlace};
 
 /// The side of an eliminated block.
 pub(crate) const SIDE: usize = Structure::eliminated_columns();
@@ -13,6 +17,22 @@ pub(crate) const SIDE: usize = Structure::eliminated_columns();
 pub(crate) struct Threads(pub Option<rayon::ThreadPool>);
 
 impl Threads {
+    /// Does `work` on each item with some scratch: `scratch` where there is one thread.
+    pub(crate) fn for_each_with<T: Send>(
+        &self,
+        scratch: &mut Scratch,
+        items: &mut [T],
+        work: impl Fn(&mut Scratch, usize, &mut T) + Sync + Send,
+    ) {
+        match &self.0 {
+            None => items.iter_mut().enumerate().for_each(|(idx, item)| work(scratch, idx, item)),
+            Some(pool) => pool.install(|| {
+                let items = items.par_iter_mut().enumerate().with_max_len(1);
+                items.for_each_init(Scratch::default, |scratch, (idx, item)| work(scratch, idx, item));
+            }),
+        }
+    }
+
     /// Does `work` on each item; the items are independent, so the number of threads cannot show.
     pub(crate) fn for_each<T: Send>(&self, items: &mut [T], work: impl Fn(usize, &mut T) + Sync + Send) {
         match &self.0 {
@@ -39,7 +59,8 @@ pub(crate) struct Linearization {
 /// Sums over all terms of what falls on reduced columns.
 #[derive(Debug, Default)]
 pub(crate) struct ReducedSums {
-    /// For each signature, the square matrix of its columns and the residual; upper triangle.
+    /// For each signature, the square matrix of its columns and the residual, upper triangle; or the
+    /// entries that a local signature lists.
     pub signatures: Vec<Vec<f64>>,
     /// The gradient by reduced column.
     pub gradient: Vec<f64>,
@@ -50,14 +71,34 @@ pub(crate) struct ReducedSums {
 /// What one chunk of groups adds up to.
 #[derive(Debug, Default)]
 struct Chunk {
-    scratch: Scratch,
+    /// What a plain term writes.
     gram: Vec<f64>,
     groups: Vec<GroupSums>,
-    /// As in [`ReducedSums`]; empty for those that none of the chunk's terms has.
-    signatures: Vec<Vec<f64>>,
+    /// For each signature, its sums; empty for those that none of the chunk's terms has.
+    signatures: Vec<SignatureSums>,
     observation_cost: f64,
     prior_cost: f64,
-    undefined_term: Option<usize>,
+    failure: Option<Failure>,
+}
+
+/// Why there is no model at some values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Failure {
+    /// This term is not defined there.
+    Undefined { term_idx: usize },
+    /// A term touches columns outside its support, so that another structure is needed.
+    OutsideSupport,
+}
+
+/// What one chunk adds to a signature's sums.
+#[derive(Clone, Debug)]
+enum SignatureSums {
+    /// As in [`ReducedSums`].
+    Plain(Vec<f64>),
+    /// Over composite terms.
+    Composite(CompositeSums),
+    /// Over terms with local support, who know what they mean.
+    Local(Vec<f64>),
 }
 
 /// The model's parts that touch an eliminated block.
@@ -74,13 +115,14 @@ pub(crate) struct GroupSums {
 impl Linearization {
     /// Returns the room for a model of this structure.
     pub(crate) fn new(structure: &Structure) -> Self {
-        let signatures: Vec<Vec<f64>> =
-            structure.signatures.iter().map(|list| vec![0.0; (list.columns.len() + 1).pow(2)]).collect();
-        let largest = structure.terms.iter().map(|term| (term.n_columns + 1).pow(2)).max().unwrap_or(0);
+        let empty = |signature: &Signature| match (&signature.composite, &signature.local) {
+            (Some(_), _) => SignatureSums::Composite(CompositeSums::default()),
+            (None, Some(_)) => SignatureSums::Local(Vec::new()),
+            (None, None) => SignatureSums::Plain(Vec::new()),
+        };
         let chunk = |groups: &std::ops::Range<usize>| {
             let groups = &structure.groups[groups.clone()];
             let mut chunk = Chunk {
-                gram: vec![0.0; largest],
                 groups: groups
                     .iter()
                     .map(|group| GroupSums {
@@ -88,19 +130,44 @@ impl Linearization {
                         ..Default::default()
                     })
                     .collect(),
-                signatures: vec![Vec::new(); signatures.len()],
+                signatures: structure.signatures.iter().map(empty).collect(),
                 ..Default::default()
             };
             // With many signatures, most chunks see few of them.
             for place in groups.iter().flat_map(|group| &structure.terms[group.terms.clone()]) {
-                chunk.signatures[place.signature].resize(signatures[place.signature].len(), 0.0);
+                let n = place.n_columns + 1;
+                let signature = &structure.signatures[place.signature];
+                match &mut chunk.signatures[place.signature] {
+                    SignatureSums::Plain(sums) => {
+                        sums.resize((signature.columns.len() + 1).pow(2), 0.0);
+                        chunk.gram.resize(chunk.gram.len().max(n * n), 0.0);
+                    }
+                    SignatureSums::Composite(sums) if sums.is_empty() => {
+                        if let Some(place) = &signature.composite {
+                            *sums = CompositeSums::new(&place.columns, place.n_columns);
+                        }
+                    }
+                    SignatureSums::Composite(_) => {}
+                    SignatureSums::Local(sums) => {
+                        sums.resize(signature.local.as_ref().map_or(0, |local| local.n_sums), 0.0);
+                        let room = SIDE * place.support.as_ref().map_or(0, Vec::len);
+                        chunk.gram.resize(chunk.gram.len().max(room), 0.0);
+                    }
+                }
             }
             chunk
         };
         Self {
             chunks: structure.chunks.iter().map(chunk).collect(),
             reduced: ReducedSums {
-                signatures,
+                signatures: structure
+                    .signatures
+                    .iter()
+                    .map(|signature| match &signature.local {
+                        None => vec![0.0; (signature.columns.len() + 1).pow(2)],
+                        Some(local) => vec![0.0; local.entries.len()],
+                    })
+                    .collect(),
                 gradient: vec![0.0; structure.n_reduced],
                 diagonal: vec![0.0; structure.n_reduced],
             },
@@ -114,21 +181,23 @@ impl Linearization {
         self.observation_cost + self.prior_cost
     }
 
-    /// Makes this the model at `values`, or returns the first term that is not defined there.
+    /// Makes this the model at `values`, or returns why there is none.
     pub(crate) fn evaluate(
         &mut self,
         problem: &Problem<'_>,
         structure: &Structure,
         values: &[f64],
         threads: &Threads,
-    ) -> Result<(), usize> {
-        threads.for_each(&mut self.chunks, |chunk_idx, chunk| {
-            chunk.evaluate(problem, structure, structure.chunks[chunk_idx].clone(), values);
+        scratch: &mut Scratch,
+    ) -> Result<(), Failure> {
+        let arch = Arch::new();
+        threads.for_each_with(scratch, &mut self.chunks, |scratch, chunk_idx, chunk| {
+            chunk.evaluate(arch, problem, structure, structure.chunks[chunk_idx].clone(), values, scratch);
         });
-        if let Some(term_idx) = self.chunks.iter().find_map(|chunk| chunk.undefined_term) {
-            return Err(term_idx);
+        if let Some(failure) = self.chunks.iter().find_map(|chunk| chunk.failure) {
+            return Err(failure);
         }
-        self.sum(structure);
+        self.sum(problem, structure, values);
         Ok(())
     }
 
@@ -138,15 +207,34 @@ impl Linearization {
     }
 
     /// Adds up the chunks, in order.
-    fn sum(&mut self, structure: &Structure) {
+    fn sum(&mut self, problem: &Problem<'_>, structure: &Structure, values: &[f64]) {
         self.observation_cost = self.chunks.iter().map(|chunk| chunk.observation_cost).sum();
         self.prior_cost = self.chunks.iter().map(|chunk| chunk.prior_cost).sum();
         let reduced = &mut self.reduced;
-        for (idx, sum) in reduced.signatures.iter_mut().enumerate() {
+        for (idx, (sum, signature)) in reduced.signatures.iter_mut().zip(&structure.signatures).enumerate() {
+            if let Some(local) = &signature.local {
+                let term = problem.terms[local.term_idx].local();
+                let Some(term) = term else { continue };
+                let mut total = vec![0.0; local.n_sums];
+                for chunk in &self.chunks {
+                    if let SignatureSums::Local(part) = &chunk.signatures[idx] {
+                        add(&mut total, part);
+                    }
+                }
+                term.expand(problem.parameters.at(values), &total, sum);
+                continue;
+            }
             sum.fill(0.0);
             for chunk in &self.chunks {
-                for (sum, part) in sum.iter_mut().zip(&chunk.signatures[idx]) {
-                    *sum += part;
+                match &chunk.signatures[idx] {
+                    SignatureSums::Plain(part) => add(sum, part),
+                    SignatureSums::Local(_) => {}
+                    SignatureSums::Composite(part) if part.is_empty() => {}
+                    SignatureSums::Composite(part) => {
+                        if let Some(place) = &structure.signatures[idx].composite {
+                            part.add_to(place, sum);
+                        }
+                    }
                 }
             }
         }
@@ -154,6 +242,17 @@ impl Linearization {
         reduced.diagonal.fill(0.0);
         for (signature, sum) in structure.signatures.iter().zip(&reduced.signatures) {
             let n = signature.columns.len() + 1;
+            if let Some(local) = &signature.local {
+                let column = |column: u32| signature.columns.get(column as usize).filter(|&&c| c != HELD);
+                for (&[a, b], entry) in local.entries.iter().zip(sum) {
+                    match (column(a.min(b)), a.max(b) as usize + 1 == n) {
+                        (Some(&column), true) => reduced.gradient[column as usize] += entry,
+                        (Some(&column), false) if a == b => reduced.diagonal[column as usize] += entry,
+                        _ => {}
+                    }
+                }
+                continue;
+            }
             for (a, &column) in signature.columns.iter().enumerate().filter(|&(_, &column)| column != HELD) {
                 reduced.gradient[column as usize] += sum[a * n + n - 1];
                 reduced.diagonal[column as usize] += sum[a * n + a];
@@ -165,44 +264,143 @@ impl Linearization {
 impl Chunk {
     fn evaluate(
         &mut self,
+        arch: Arch,
         problem: &Problem<'_>,
         structure: &Structure,
         groups: std::ops::Range<usize>,
         values: &[f64],
+        scratch: &mut Scratch,
     ) {
         let values = problem.parameters.at(values);
         self.observation_cost = 0.0;
         self.prior_cost = 0.0;
-        self.undefined_term = None;
-        self.signatures.iter_mut().for_each(|sums| sums.fill(0.0));
-        for (group, sums) in structure.groups[groups].iter().zip(&mut self.groups) {
-            sums.own = Default::default();
-            sums.gradient = Default::default();
-            sums.coupling.fill(0.0);
+        self.failure = None;
+        self.signatures.iter_mut().for_each(SignatureSums::clear);
+        for (group_idx, group) in structure.groups[groups].iter().enumerate() {
+            self.groups[group_idx].clear();
             for place in &structure.terms[group.terms.clone()] {
                 let term = problem.terms[place.term_idx];
-                let n = place.n_columns + 1;
-                let mut gram = GramMut::new(&mut self.gram, n);
-                match term.linearize(values, &mut gram, &mut self.scratch) {
-                    Some(cost) if cost.is_finite() => match term.kind() {
-                        TermKind::Observation => self.observation_cost += cost,
-                        TermKind::Prior => self.prior_cost += cost,
-                    },
+                let defined = |cost: Option<f64>| cost.map_or(Accumulated::Undefined, Accumulated::Cost);
+                let accumulated = match (term.local(), term.composite()) {
+                    (Some(local), _) => {
+                        let group = (group_idx, group.eliminated.map(BlockId));
+                        self.add_local(local, place, group, values, scratch)
+                    }
+                    (None, Some(term)) => {
+                        defined(self.add_composite(arch, term, place, group_idx, values, scratch))
+                    }
+                    (None, None) => defined(self.add_plain(term, place, group_idx, values, scratch)),
+                };
+                match (accumulated, term.kind()) {
+                    (Accumulated::Cost(cost), TermKind::Observation) if cost.is_finite() => {
+                        self.observation_cost += cost;
+                    }
+                    (Accumulated::Cost(cost), TermKind::Prior) if cost.is_finite() => self.prior_cost += cost,
+                    (Accumulated::OutsideSupport, _) => {
+                        self.failure = Some(Failure::OutsideSupport);
+                        return;
+                    }
                     _ => {
-                        self.undefined_term = Some(place.term_idx);
+                        self.failure = Some(Failure::Undefined { term_idx: place.term_idx });
                         return;
                     }
                 }
-                let gram = Local { entries: &self.gram[..n * n], n };
-                let eliminated = place.eliminated.clone().unwrap_or(n..n);
-                if group.eliminated.is_some() {
-                    sums.add(&gram, &eliminated, &place.coupling);
-                }
-                gram.add_reduced(&eliminated, &mut self.signatures[place.signature]);
             }
             if let Some(block) = group.eliminated {
-                sums.finish(&problem.parameters.blocks[block].held);
+                self.groups[group_idx].finish(&problem.parameters.blocks[block].held);
             }
+        }
+    }
+
+    /// Adds a term to its group and its signature, and returns its cost if it is defined.
+    fn add_plain(
+        &mut self,
+        term: &dyn Term,
+        place: &TermPlace,
+        group_idx: usize,
+        values: Values<'_>,
+        scratch: &mut Scratch,
+    ) -> Option<f64> {
+        let n = place.n_columns + 1;
+        let cost = term.linearize(values, &mut GramMut::new(&mut self.gram, n), scratch)?;
+        let gram = Local { entries: &self.gram[..n * n], n };
+        let eliminated = place.eliminated.clone().unwrap_or(n..n);
+        if place.eliminated.is_some() {
+            self.groups[group_idx].add(&gram, &eliminated, &place.coupling);
+        }
+        if let SignatureSums::Plain(sums) = &mut self.signatures[place.signature] {
+            gram.add_reduced(&eliminated, sums);
+        }
+        Some(cost)
+    }
+
+    /// The same for a term with local support.
+    fn add_local(
+        &mut self,
+        term: &dyn LocalTerm,
+        place: &TermPlace,
+        (group_idx, block): (usize, Option<BlockId>),
+        values: Values<'_>,
+        scratch: &mut Scratch,
+    ) -> Accumulated {
+        let support = place.support.as_deref().unwrap_or_default();
+        let SignatureSums::Local(shared) = &mut self.signatures[place.signature] else {
+            return Accumulated::Undefined;
+        };
+        let n = support.len();
+        let coupling = &mut self.gram[..SIDE * n];
+        coupling.fill(0.0);
+        let (mut own, mut gradient) = ([[0.0; SIDE]; SIDE], [0.0; SIDE]);
+        let mut eliminated = EliminatedSums { block, own: &mut own, gradient: &mut gradient, coupling };
+        let accumulated = term.accumulate(values, support, shared, &mut eliminated, scratch);
+        if place.eliminated.is_some() {
+            let group = &mut self.groups[group_idx];
+            let n_coupled = group.coupling.len() / SIDE;
+            add(&mut group.gradient, &gradient);
+            for (k, own) in own.iter().enumerate() {
+                add(&mut group.own[k], own);
+                let row = &self.gram[k * n..(k + 1) * n];
+                for run in &place.coupling {
+                    let first = k * n_coupled + run.place;
+                    add(&mut group.coupling[first..first + run.length], &row[run.column..]);
+                }
+            }
+        }
+        accumulated
+    }
+
+    /// The same for a term with a composite pose.
+    fn add_composite(
+        &mut self,
+        arch: Arch,
+        term: &dyn CompositeTerm,
+        place: &TermPlace,
+        group_idx: usize,
+        values: Values<'_>,
+        scratch: &mut Scratch,
+    ) -> Option<f64> {
+        let weighed = term.sum_products(values, scratch)?;
+        if let SignatureSums::Composite(kind) = &mut self.signatures[place.signature] {
+            arch.dispatch(AddComposite {
+                columns: term.columns(),
+                factor: weighed.factor,
+                n_columns: place.n_columns,
+                eliminated: place.eliminated.as_ref().map(|columns| columns.start),
+                scratch,
+                kind,
+                group: &mut self.groups[group_idx],
+                coupling: &place.coupling,
+            });
+        }
+        Some(weighed.cost)
+    }
+}
+
+impl SignatureSums {
+    fn clear(&mut self) {
+        match self {
+            Self::Plain(sums) | Self::Local(sums) => sums.fill(0.0),
+            Self::Composite(sums) => sums.clear(),
         }
     }
 }
@@ -234,6 +432,38 @@ impl Local<'_> {
 }
 
 impl GroupSums {
+    fn clear(&mut self) {
+        self.own = Default::default();
+        self.gradient = Default::default();
+        self.coupling.fill(0.0);
+    }
+
+    /// Adds row `k` of the eliminated block: what it has to do with the term's parameters (`parts[0]`),
+    /// with the links of its chain (`parts[1]`, from column `n_own` on), with itself and the residual.
+    #[inline(always)]
+    pub(crate) fn add_row(
+        &mut self,
+        k: usize,
+        parts: [&[f64]; 2],
+        n_own: usize,
+        own: &[f64],
+        residual: f64,
+        runs: &[CouplingRun],
+    ) {
+        let n_coupled = self.coupling.len() / SIDE;
+        add(&mut self.own[k], &own[..SIDE]);
+        self.gradient[k] += residual;
+        let coupling = &mut self.coupling[k * n_coupled..(k + 1) * n_coupled];
+        for run in runs {
+            let part = match run.column.checked_sub(n_own) {
+                None => &parts[0][run.column..],
+                // Links are a register apart.
+                Some(column) => &parts[1][column / SIDE * MAX_LANES + column % SIDE..],
+            };
+            add(&mut coupling[run.place..run.place + run.length], part);
+        }
+    }
+
     /// Adds a term's eliminated columns: against themselves, the reduced columns and the residual.
     fn add(&mut self, gram: &Local<'_>, eliminated: &std::ops::Range<usize>, runs: &[CouplingRun]) {
         let &Local { entries, n } = gram;
@@ -281,6 +511,7 @@ impl GroupSums {
     }
 }
 
+#[inline(always)]
 fn add(sums: &mut [f64], parts: &[f64]) {
     for (sum, part) in sums.iter_mut().zip(parts) {
         *sum += part;

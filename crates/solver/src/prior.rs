@@ -17,6 +17,12 @@ impl VectorPrior {
     pub fn new(block: BlockId, rows: Vec<(usize, f64, f64)>) -> Self {
         Self { block: [block], rows }
     }
+
+    /// Returns what is believed of a column: the inverse square of its sigma, zero for nothing.
+    pub fn information(&self, block: BlockId, column: usize) -> f64 {
+        let rows = self.rows.iter().filter(|row| self.block == [block] && row.0 == column);
+        rows.map(|(_, _, inverse_sigma)| inverse_sigma * inverse_sigma).sum()
+    }
 }
 
 impl Term for VectorPrior {

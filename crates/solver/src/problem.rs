@@ -5,6 +5,9 @@ use std::ops::Range;
 use boresight_geometry::{Pose, UnitQuaternion, Vector3, Vector6, nalgebra::Quaternion};
 
 use crate::Error;
+use crate::composite::{CompositeTerm, Links};
+use crate::gram::PairGram;
+use crate::local::LocalTerm;
 
 /// A parameter block of a problem.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -239,6 +242,17 @@ pub trait Term: Send + Sync {
     /// The cost is the sum of squared residuals; with a robust loss it is the loss, and J and r are
     /// scaled by the root of its weight. `scratch` is the term's to use and keeps its size.
     fn linearize(&self, values: Values<'_>, gram: &mut GramMut<'_>, scratch: &mut Scratch) -> Option<f64>;
+
+    /// Returns the term as one whose poses act through one composite pose, for which there is a shorter
+    /// way than [`linearize`](Self::linearize), if it is such a term.
+    fn composite(&self) -> Option<&dyn CompositeTerm> {
+        None
+    }
+
+    /// Returns the term as one that touches few of its columns, if it is; it is then evaluated as that.
+    fn local(&self) -> Option<&dyn LocalTerm> {
+        None
+    }
 }
 
 /// The square matrix that a term writes to: its columns in order, then the residual.
@@ -285,9 +299,13 @@ pub struct Scratch {
     /// Rows of `[J r]`, wherever the term wants them.
     pub rows: Vec<f64>,
     /// Sums of products.
-    pub gram: crate::gram::PairGram,
-    /// A square matrix of the term's own.
-    pub matrix: Vec<f64>,
+    pub gram: PairGram,
+    /// The maps of a chain's links.
+    pub links: Links,
+    /// Rows of the composite pose.
+    pub(crate) pose_rows: Vec<f64>,
+    /// Rows of a link.
+    pub(crate) link_rows: Vec<f64>,
 }
 
 /// Parameters and terms: a sum of squares to be made least.

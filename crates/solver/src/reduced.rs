@@ -1,4 +1,4 @@
-//! The reduced system: what is left when the poses of frames are eliminated.
+//! The reduced system: what is left when the poses of frames are eliminated. It is dense or sparse.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
@@ -6,33 +6,74 @@ use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_uppe
 use faer::{Mat, Par};
 
 use crate::linearization::ReducedSums;
+use crate::pattern::NOWHERE;
+use crate::sparse::{SparseInverse, SparseSystem};
 use crate::step::{damping_diagonal, row_stride};
 use crate::structure::{HELD, Structure};
 
-/// A dense symmetric system, scaled to a unit diagonal and factored in place.
+/// A symmetric system, scaled to a unit diagonal and factored.
 pub(crate) struct Reduced {
     n: usize,
-    /// The system, then its Cholesky factor: lower triangle.
-    matrix: Mat<f64>,
+    system: System,
     gradient: Vec<f64>,
     /// The diagonal of the system, which factoring overwrites.
-    diagonal: Vec<f64>,
+    pub(crate) diagonal: Vec<f64>,
     /// The inverse root of the diagonal.
     scale: Vec<f64>,
-    scratch: MemBuffer,
     /// The step by reduced column.
     pub step: Vec<f64>,
 }
 
+/// How the system is kept.
+enum System {
+    /// The matrix, then its Cholesky factor: lower triangle.
+    Dense(Mat<f64>, MemBuffer),
+    Sparse(Box<SparseSystem>),
+}
+
+/// The inverse of a reduced system.
+#[derive(Debug)]
+pub(crate) enum Inverse {
+    Dense(Mat<f64>),
+    Sparse(Box<SparseInverse>),
+}
+
+impl Inverse {
+    /// Returns the entry at a row and a column.
+    pub(crate) fn entry(&self, row: usize, column: usize) -> f64 {
+        match self {
+            Inverse::Dense(matrix) => matrix[(row, column)],
+            Inverse::Sparse(inverse) => inverse.entry(row, column),
+        }
+    }
+
+    /// Writes the product of the inverse with a vector.
+    pub(crate) fn multiply(&self, x: &[f64], product: &mut [f64]) {
+        match self {
+            Inverse::Dense(matrix) => {
+                for (column, entry) in product.iter_mut().enumerate() {
+                    *entry = matrix.col_as_slice(column).iter().zip(x).map(|(entry, x)| entry * x).sum();
+                }
+            }
+            Inverse::Sparse(inverse) => inverse.multiply(x, product),
+        }
+    }
+}
+
 impl Reduced {
-    pub(crate) fn new(n: usize) -> Self {
+    pub(crate) fn new(structure: &Structure) -> Self {
+        let n = structure.n_reduced;
+        let dense = || {
+            let scratch = MemBuffer::new(cholesky_in_place_scratch::<f64>(n, Par::Seq, Default::default()));
+            System::Dense(Mat::zeros(n, n), scratch)
+        };
+        let sparse = |pattern| System::Sparse(Box::new(SparseSystem::new(pattern)));
         Self {
             n,
-            matrix: Mat::zeros(n, n),
+            system: structure.sparse.as_ref().map_or_else(dense, sparse),
             gradient: vec![0.0; n],
             diagonal: vec![0.0; n],
             scale: vec![1.0; n],
-            scratch: MemBuffer::new(cholesky_in_place_scratch::<f64>(n, Par::Seq, Default::default())),
             step: vec![0.0; n],
         }
     }
@@ -45,29 +86,42 @@ impl Reduced {
         damping: f64,
         eliminated: impl Iterator<Item = (&'p [f64], &'p [f64])>,
     ) {
-        let n = self.n;
-        self.matrix.as_mut().fill(0.0);
         self.gradient.copy_from_slice(&sums.gradient);
-        for (signature, entries) in structure.signatures.iter().zip(&sums.signatures) {
-            let side = signature.columns.len() + 1;
-            for (a, &row) in signature.columns.iter().enumerate().filter(|&(_, &row)| row != HELD) {
-                for (b, &column) in signature.columns.iter().enumerate().skip(a).filter(|&(_, &c)| c != HELD)
-                {
-                    let (row, column) = (row.min(column) as usize, row.max(column) as usize);
-                    self.matrix[(column, row)] += entries[a * side + b];
+        match &mut self.system {
+            System::Dense(matrix, _) => {
+                matrix.as_mut().fill(0.0);
+                add_dense(structure, sums, matrix);
+                for (column, &diagonal) in sums.diagonal.iter().enumerate() {
+                    matrix[(column, column)] += damping * damping_diagonal(diagonal);
+                }
+            }
+            System::Sparse(system) => {
+                system.values.fill(0.0);
+                add_sparse(structure, sums, &mut system.values);
+                for (column, &diagonal) in sums.diagonal.iter().enumerate() {
+                    let place = system.diagonal(column);
+                    system.values[place] += damping * damping_diagonal(diagonal);
                 }
             }
         }
-        for (column, &diagonal) in sums.diagonal.iter().enumerate() {
-            self.matrix[(column, column)] += damping * damping_diagonal(diagonal);
-        }
-        let stride = row_stride(n);
-        // The upper triangle by rows is the lower triangle by columns, which is faer's order.
-        for (matrix, gradient) in eliminated {
-            for row in 0..n {
-                let column = &mut self.matrix.col_as_slice_mut(row)[row..];
-                for (entry, part) in column.iter_mut().zip(&matrix[row * stride + row..row * stride + n]) {
-                    *entry -= part;
+        let (n, stride) = (self.n, row_stride(self.n));
+        for (parts, gradient) in eliminated {
+            match &mut self.system {
+                // The upper triangle by rows is the lower triangle by columns, which is faer's order.
+                System::Dense(matrix, _) => {
+                    for row in 0..n {
+                        let column = &mut matrix.col_as_slice_mut(row)[row..];
+                        for (entry, part) in
+                            column.iter_mut().zip(&parts[row * stride + row..row * stride + n])
+                        {
+                            *entry -= part;
+                        }
+                    }
+                }
+                System::Sparse(system) => {
+                    for (entry, part) in system.values.iter_mut().zip(parts) {
+                        *entry -= part;
+                    }
                 }
             }
             for (entry, part) in self.gradient.iter_mut().zip(gradient) {
@@ -75,7 +129,10 @@ impl Reduced {
             }
         }
         for (column, diagonal) in self.diagonal.iter_mut().enumerate() {
-            *diagonal = self.matrix[(column, column)];
+            *diagonal = match &self.system {
+                System::Dense(matrix, _) => matrix[(column, column)],
+                System::Sparse(system) => system.values[system.diagonal(column)],
+            };
         }
     }
 
@@ -96,16 +153,25 @@ impl Reduced {
             }
             self.scale[column] = 1.0 / diagonal.sqrt();
         }
-        for column in 0..n {
-            let by_column = self.scale[column];
-            let entries = &mut self.matrix.col_as_slice_mut(column)[column..];
-            for (entry, by_row) in entries.iter_mut().zip(&self.scale[column..]) {
-                *entry *= by_column * by_row;
+        let scale = &self.scale;
+        match &mut self.system {
+            System::Dense(matrix, scratch) => {
+                for column in 0..n {
+                    let by_column = scale[column];
+                    let entries = &mut matrix.col_as_slice_mut(column)[column..];
+                    for (entry, by_row) in entries.iter_mut().zip(&scale[column..]) {
+                        *entry *= by_column * by_row;
+                    }
+                }
+                let stack = MemStack::new(scratch);
+                cholesky_in_place(matrix.as_mut(), Default::default(), Par::Seq, stack, Default::default())
+                    .is_ok()
+            }
+            System::Sparse(system) => {
+                system.scale(scale);
+                system.factor()
             }
         }
-        let stack = MemStack::new(&mut self.scratch);
-        cholesky_in_place(self.matrix.as_mut(), Default::default(), Par::Seq, stack, Default::default())
-            .is_ok()
     }
 
     /// Solves the factored system for the step that cancels the gradient.
@@ -113,43 +179,107 @@ impl Reduced {
         for (step, (gradient, scale)) in self.step.iter_mut().zip(self.gradient.iter().zip(&self.scale)) {
             *step = -gradient * scale;
         }
-        let mut right = faer::MatMut::from_column_major_slice_mut(&mut self.step, self.n, 1);
-        solve_lower_triangular_in_place(self.matrix.as_ref(), right.as_mut(), Par::Seq);
-        solve_upper_triangular_in_place(self.matrix.as_ref().transpose(), right.as_mut(), Par::Seq);
+        self.system.solve(&mut self.step);
         for (step, scale) in self.step.iter_mut().zip(&self.scale) {
             *step *= scale;
         }
     }
 
     /// Returns the inverse of the factored system.
-    pub(crate) fn inverse(&self) -> Mat<f64> {
-        let n = self.n;
-        let mut inverse = Mat::<f64>::identity(n, n);
-        solve_lower_triangular_in_place(self.matrix.as_ref(), inverse.as_mut(), Par::Seq);
-        solve_upper_triangular_in_place(self.matrix.as_ref().transpose(), inverse.as_mut(), Par::Seq);
-        for column in 0..n {
-            for row in 0..n {
-                inverse[(row, column)] *= self.scale[row] * self.scale[column];
+    pub(crate) fn into_inverse(self) -> Inverse {
+        let Self { n, system, scale, .. } = self;
+        match system {
+            System::Dense(matrix, _) => {
+                let mut inverse = Mat::<f64>::identity(n, n);
+                solve_lower_triangular_in_place(matrix.as_ref(), inverse.as_mut(), Par::Seq);
+                solve_upper_triangular_in_place(matrix.as_ref().transpose(), inverse.as_mut(), Par::Seq);
+                for column in 0..n {
+                    for row in 0..n {
+                        inverse[(row, column)] *= scale[row] * scale[column];
+                    }
+                }
+                Inverse::Dense(inverse)
             }
+            System::Sparse(system) => Inverse::Sparse(Box::new(system.into_inverse(scale))),
         }
-        inverse
     }
 
     /// Returns an estimate of the scaled system's reciprocal condition and its loosest direction,
     /// by inverse iteration on the factor.
-    pub(crate) fn loosest_direction(&self) -> (f64, Vec<f64>) {
+    pub(crate) fn loosest_direction(&mut self) -> (f64, Vec<f64>) {
         let n = self.n;
         let mut direction: Vec<f64> = (0..n).map(|i| 1.0 + (i as f64 * 0.618_034).fract()).collect();
         let mut smallest = 1.0;
         for _ in 0..8 {
             let norm = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
             direction.iter_mut().for_each(|x| *x /= norm);
-            let mut right = faer::MatMut::from_column_major_slice_mut(&mut direction, n, 1);
-            solve_lower_triangular_in_place(self.matrix.as_ref(), right.as_mut(), Par::Seq);
-            solve_upper_triangular_in_place(self.matrix.as_ref().transpose(), right.as_mut(), Par::Seq);
+            self.system.solve(&mut direction);
             smallest = 1.0 / direction.iter().map(|x| x * x).sum::<f64>().sqrt();
         }
         // The largest eigenvalue of a matrix with a unit diagonal is between one and its size.
         (smallest / n as f64, direction)
+    }
+}
+
+impl System {
+    /// Multiplies a vector by the inverse of the factored system.
+    fn solve(&mut self, x: &mut [f64]) {
+        match self {
+            System::Dense(matrix, _) => {
+                let mut right = faer::MatMut::from_column_major_slice_mut(x, matrix.nrows(), 1);
+                solve_lower_triangular_in_place(matrix.as_ref(), right.as_mut(), Par::Seq);
+                solve_upper_triangular_in_place(matrix.as_ref().transpose(), right.as_mut(), Par::Seq);
+            }
+            System::Sparse(system) => system.solve(x),
+        }
+    }
+}
+
+/// Adds the sums over terms to the lower triangle of a matrix.
+fn add_dense(structure: &Structure, sums: &ReducedSums, matrix: &mut Mat<f64>) {
+    let mut add = |a: u32, b: u32, part: f64| {
+        if a != HELD && b != HELD {
+            matrix[(a.max(b) as usize, a.min(b) as usize)] += part;
+        }
+    };
+    for (signature, entries) in structure.signatures.iter().zip(&sums.signatures) {
+        let columns = &signature.columns;
+        match &signature.local {
+            None => {
+                let side = columns.len() + 1;
+                for (a, &row) in columns.iter().enumerate().filter(|&(_, &row)| row != HELD) {
+                    for (b, &column) in columns.iter().enumerate().skip(a) {
+                        add(row, column, entries[a * side + b]);
+                    }
+                }
+            }
+            Some(local) => {
+                let column = |column: u32| columns.get(column as usize).copied().unwrap_or(HELD);
+                for (&[a, b], &part) in local.entries.iter().zip(entries) {
+                    add(column(a), column(b), part);
+                }
+            }
+        }
+    }
+}
+
+/// Adds the sums over terms to the entries of a sparse system.
+fn add_sparse(structure: &Structure, sums: &ReducedSums, values: &mut [f64]) {
+    let places = structure.sparse.iter().flat_map(|pattern| &pattern.signatures);
+    for ((signature, places), entries) in structure.signatures.iter().zip(places).zip(&sums.signatures) {
+        let mut add = |place: u32, part: f64| {
+            if place != NOWHERE {
+                values[place as usize] += part;
+            }
+        };
+        if signature.local.is_some() {
+            places.iter().zip(entries).for_each(|(&place, &part)| add(place, part));
+            continue;
+        }
+        let n = signature.columns.len();
+        let mut places = places.iter();
+        for (a, row) in entries.chunks_exact(n + 1).take(n).enumerate() {
+            row[a..n].iter().zip(&mut places).for_each(|(&part, &place)| add(place, part));
+        }
     }
 }

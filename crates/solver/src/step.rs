@@ -5,6 +5,7 @@ use pulp::{Arch, Simd, WithSimd};
 use crate::linearization::{GroupSums, Linearization, SIDE, Threads};
 use crate::problem::Problem;
 use crate::reduced::Reduced;
+use crate::scatter::add_outer_sparse;
 use crate::structure::{Group, HELD, Structure};
 
 /// The room in which steps are worked out, and the last one.
@@ -35,7 +36,10 @@ impl StepSolver {
     pub(crate) fn new(structure: &Structure) -> Self {
         let n = structure.n_reduced;
         let partial_sum = |_| PartialSum {
-            matrix: vec![0.0; n * row_stride(n)],
+            matrix: vec![
+                0.0;
+                structure.sparse.as_ref().map_or(n * row_stride(n), |p| p.n_entries() + COLUMNS)
+            ],
             gradient: vec![0.0; row_stride(n)],
             solved: Vec::new(),
             failed: false,
@@ -43,7 +47,7 @@ impl StepSolver {
         Self {
             arch: Arch::new(),
             partial_sums: structure.schur_chunks.iter().map(partial_sum).collect(),
-            reduced: Reduced::new(n),
+            reduced: Reduced::new(structure),
             step: vec![0.0; structure.n_columns],
             predicted_decrease: 0.0,
         }
@@ -61,8 +65,10 @@ impl StepSolver {
         let arch = self.arch;
         threads.for_each(&mut self.partial_sums, |idx, sum| {
             let range = structure.schur_chunks[idx].clone();
+            let places = structure.sparse.as_ref().map(|pattern| &pattern.groups[range.clone()]);
             let (groups, sums) = (&structure.groups[range.clone()], &groups[range]);
             arch.dispatch(Eliminate {
+                places,
                 stride: row_stride(structure.n_reduced),
                 groups,
                 sums,
@@ -103,11 +109,12 @@ impl StepSolver {
             let Some(block) = group.eliminated else { continue };
             let n = group.columns.len();
             let mut right = sums.gradient;
-            for (right, row) in right.iter_mut().zip(sums.coupling.chunks_exact(n.max(1))) {
-                for &(place, column, length) in &group.runs {
-                    let step = &reduced_step[column..column + length];
-                    *right +=
-                        row[place..place + length].iter().zip(step).map(|(entry, d)| entry * d).sum::<f64>();
+            for &(place, column, length) in &group.runs {
+                // Six sums at a time do not wait for each other.
+                for (at, d) in reduced_step[column..column + length].iter().enumerate() {
+                    for (k, right) in right.iter_mut().enumerate() {
+                        *right += sums.coupling[k * n + place + at] * d;
+                    }
                 }
             }
             let Some(triangle) = cholesky(&damped(sums, damping)) else { continue };
@@ -185,6 +192,8 @@ pub(crate) fn backward(lower: &Triangle, x: &mut [f64; SIDE]) {
 
 /// Eliminates the blocks of some groups: adds `Yᵀ Y` with `Y = L⁻¹ W`, and `Yᵀ L⁻¹ g`.
 struct Eliminate<'a> {
+    /// For each group, where its outer product belongs in a sparse system.
+    places: Option<&'a [Vec<u32>]>,
     stride: usize,
     groups: &'a [Group],
     sums: &'a [&'a GroupSums],
@@ -197,34 +206,63 @@ impl WithSimd for Eliminate<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { stride, groups, sums, damping, into } = self;
+        let Self { places, stride, groups, sums, damping, into } = self;
         into.failed = false;
         into.matrix.fill(0.0);
         into.gradient.fill(0.0);
-        for (group, sums) in groups.iter().zip(sums) {
+        let mut waiting: Option<&Group> = None;
+        into.solved.clear();
+        for (idx, (group, sums)) in groups.iter().zip(sums).enumerate() {
             if group.eliminated.is_none() {
                 continue;
             }
+            // Groups with the same columns are subtracted together, while the rows are in the nearest cache.
+            if let Some(first) = waiting
+                && (first.columns != group.columns
+                    || into.solved.len() >= TOGETHER * first.panel_count() * PANEL)
+            {
+                add_outer(simd, stride, first, &into.solved, &mut into.matrix);
+                into.solved.clear();
+            }
+            waiting = Some(group);
             let Some(lower) = cholesky(&damped(sums, damping)) else {
                 into.failed = true;
                 return;
             };
             let mut gradient = sums.gradient;
             forward(&lower, &mut gradient);
+            let before = into.solved.len();
             solve_coupling(simd, group, sums, &lower, &mut into.solved);
-            add_gradient(simd, group, &into.solved, &gradient, &mut into.gradient);
-            add_outer(simd, stride, group, &into.solved, &mut into.matrix);
+            add_gradient(simd, group, &into.solved[before..], &gradient, &mut into.gradient);
+            if let Some(places) = places {
+                add_outer_sparse(simd, group, &places[idx], &into.solved, &mut into.matrix);
+                into.solved.clear();
+                waiting = None;
+            }
+        }
+        if let Some(first) = waiting {
+            add_outer(simd, stride, first, &into.solved, &mut into.matrix);
         }
     }
 }
 
+/// Groups whose products are added together, at most; more would not fit into the nearest cache.
+const TOGETHER: usize = 4;
+
+impl Group {
+    /// Returns the number of panels of the group's coupling.
+    fn panel_count(&self) -> usize {
+        self.runs.iter().map(|&(_, _, length)| length.div_ceil(COLUMNS)).sum()
+    }
+}
+
 /// Columns of a coupling are taken eight at a time, whatever the machine's registers hold.
-const COLUMNS: usize = 8;
+pub(crate) const COLUMNS: usize = 8;
 
 /// The numbers of eight columns: `SIDE` rows of them.
-const PANEL: usize = SIDE * COLUMNS;
+pub(crate) const PANEL: usize = SIDE * COLUMNS;
 
-/// Writes `Y = L⁻¹ W` in panels: each run of columns begins a new one, and its last is filled up with zeros.
+/// Appends `Y = L⁻¹ W` in panels: each run of columns begins a new one, and its last is filled up with zeros.
 #[inline(always)]
 fn solve_coupling<S: Simd>(
     simd: S,
@@ -234,15 +272,19 @@ fn solve_coupling<S: Simd>(
     solved: &mut Vec<f64>,
 ) {
     let n_coupled = group.columns.len();
-    solved.clear();
     for &(place, _, length) in &group.runs {
         let mut first = 0;
         while first < length {
             let n = (length - first).min(COLUMNS);
             let mut panel = [0.0; PANEL];
             for k in 0..SIDE {
-                let row = k * n_coupled + place + first;
-                panel[k * COLUMNS..k * COLUMNS + n].copy_from_slice(&sums.coupling[row..row + n]);
+                let row = &sums.coupling[k * n_coupled + place + first..];
+                let into = &mut panel[k * COLUMNS..(k + 1) * COLUMNS];
+                // Most panels are full, and a copy of known length is two instructions instead of a call.
+                match row.first_chunk::<COLUMNS>() {
+                    Some(full) if n == COLUMNS => into.copy_from_slice(full),
+                    _ => into[..n].copy_from_slice(&row[..n]),
+                }
             }
             let (vectors, _) = S::as_mut_simd_f64s(&mut panel);
             let n_parts = vectors.len() / SIDE;
@@ -285,12 +327,16 @@ fn add_gradient<S: Simd>(simd: S, group: &Group, y: &[f64], gradient: &[f64; SID
     }
 }
 
-/// Adds `Yᵀ Y` to the upper triangle of a matrix with rows `stride` apart.
+/// Adds `Yᵀ Y` of groups with the columns of `group` to the upper triangle of a matrix with rows `stride` apart.
 ///
 /// Panels begin left of the diagonal and end right of their run; what they add there is never read
 /// or zero.
 #[inline(always)]
-fn add_outer<S: Simd>(simd: S, stride: usize, group: &Group, y: &[f64], matrix: &mut [f64]) {
+fn add_outer<S: Simd>(simd: S, stride: usize, group: &Group, ys: &[f64], matrix: &mut [f64]) {
+    let n_numbers = group.panel_count() * PANEL;
+    if n_numbers == 0 {
+        return;
+    }
     let mut first_panel = 0;
     for (run_idx, &(_, column, length)) in group.runs.iter().enumerate() {
         let runs = &group.runs[run_idx..];
@@ -299,13 +345,17 @@ fn add_outer<S: Simd>(simd: S, stride: usize, group: &Group, y: &[f64], matrix: 
         if S::REGISTER_COUNT >= 32 {
             while row + 4 <= length {
                 let rows = &mut matrix[(column + row) * stride..(column + row + 4) * stride];
-                add_rows::<S, 4>(simd, stride, runs, y, first_panel, row, rows);
+                for y in ys.chunks_exact(n_numbers) {
+                    add_rows::<S, 4>(simd, stride, runs, y, first_panel, row, rows);
+                }
                 row += 4;
             }
         }
         while row < length {
             let rows = &mut matrix[(column + row) * stride..(column + row + 1) * stride];
-            add_rows::<S, 1>(simd, stride, runs, y, first_panel, row, rows);
+            for y in ys.chunks_exact(n_numbers) {
+                add_rows::<S, 1>(simd, stride, runs, y, first_panel, row, rows);
+            }
             row += 1;
         }
         first_panel += length.div_ceil(COLUMNS);

@@ -2,8 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::Arc;
 
-use crate::problem::{Elimination, POSE_COLUMNS, Problem};
+use crate::composite::CompositeColumns;
+use crate::ordering::{Cliques, Graph, Run};
+use crate::pattern::Pattern;
+use crate::problem::{Elimination, POSE_COLUMNS, Problem, Term};
 
 /// Marks a column that is held fixed.
 pub(crate) const HELD: u32 = u32::MAX;
@@ -14,6 +18,18 @@ const MAX_CHUNKS: usize = 16;
 
 /// Beyond this many numbers, partial sums of the reduced system take fewer chunks instead of more memory.
 const MAX_PARTIAL_SUM: usize = 8 << 20;
+
+/// When the reduced system is sparse.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SparseRule {
+    /// With fewer reduced columns, a dense system is factored before a sparse one is thought out.
+    pub least_columns: usize,
+    /// How much longer an operation takes in a sparse factorization than in a dense one.
+    pub toll: f64,
+}
+
+/// The rule as measured.
+const MEASURED: SparseRule = SparseRule { least_columns: 256, toll: 4.0 };
 
 /// Where everything of a problem is.
 #[derive(Debug)]
@@ -26,6 +42,10 @@ pub(crate) struct Structure {
     pub reduced_columns: Vec<Vec<u32>>,
     /// The number of reduced columns.
     pub n_reduced: usize,
+    /// For each reduced column, which it is when counted in the order of the blocks.
+    pub natural_columns: Vec<u32>,
+    /// The entries of the reduced system, if it is sparse.
+    pub sparse: Option<Pattern>,
     /// The distinct lists of reduced blocks that terms see; sums over terms of one list are kept together.
     pub signatures: Vec<Signature>,
     /// The terms, each with the place of its columns, in the order of evaluation.
@@ -43,6 +63,38 @@ pub(crate) struct Structure {
 pub(crate) struct Signature {
     /// For each column of the list's blocks, the reduced column or `HELD`.
     pub columns: Vec<u32>,
+    /// How terms lie that have a composite pose, if they do.
+    pub composite: Option<CompositePlace>,
+    /// What sums mean that are no matrix.
+    pub local: Option<LocalSignature>,
+}
+
+/// What the sums of terms with local support mean.
+#[derive(Debug)]
+pub(crate) struct LocalSignature {
+    /// The term that knows.
+    pub term_idx: usize,
+    pub n_sums: usize,
+    /// Pairs of the list's columns, the residual behind the last.
+    pub entries: Vec<[u32; 2]>,
+    /// Whether its terms see an eliminated block.
+    is_eliminated: bool,
+}
+
+/// Where the columns of composite terms of one kind are.
+#[derive(Clone, Debug)]
+pub(crate) struct CompositePlace {
+    pub columns: Arc<CompositeColumns>,
+    /// The number of all columns of a term.
+    pub n_columns: usize,
+    /// The first column of the eliminated link.
+    pub eliminated: Option<usize>,
+}
+
+impl CompositePlace {
+    fn is_like(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.columns, &other.columns) && self.eliminated == other.eliminated
+    }
 }
 
 /// Where a term's columns belong.
@@ -57,9 +109,12 @@ pub(crate) struct TermPlace {
     pub n_columns: usize,
     /// Where its free reduced columns are in the group's coupling.
     pub coupling: Vec<CouplingRun>,
+    /// Which of its signature's columns it may touch, for a term with local support; runs of the
+    /// coupling then count in these.
+    pub support: Option<Vec<u32>>,
 }
 
-/// Consecutive columns of a term that are consecutive in its group's coupling.
+/// Consecutive columns of a block of a term that are consecutive in its group's coupling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct CouplingRun {
     /// The first, among the term's columns.
@@ -82,7 +137,13 @@ pub(crate) struct Group {
 }
 
 impl Structure {
-    pub(crate) fn new(problem: &Problem<'_>) -> Self {
+    /// Returns the structure of a problem, whose terms with local support are near `values`.
+    pub(crate) fn new(problem: &Problem<'_>, values: &[f64]) -> Self {
+        Self::by_rule(problem, values, MEASURED)
+    }
+
+    /// Does what [`new`](Self::new) does, by another rule.
+    pub(crate) fn by_rule(problem: &Problem<'_>, values: &[f64], rule: SparseRule) -> Self {
         let blocks = &problem.parameters.blocks;
         let mut first_column = Vec::with_capacity(blocks.len());
         let mut reduced_columns = Vec::with_capacity(blocks.len());
@@ -104,19 +165,104 @@ impl Structure {
             n_columns,
             reduced_columns,
             n_reduced: n_reduced as usize,
+            natural_columns: (0..n_reduced).collect(),
+            sparse: None,
             signatures: Vec::new(),
             terms: Vec::new(),
             groups: Vec::new(),
             chunks: Vec::new(),
             schur_chunks: Vec::new(),
         };
-        structure.place_terms(problem);
+        let supports: Vec<Option<Vec<u32>>> = problem
+            .terms
+            .iter()
+            .map(|term| term.local().map(|local| local.support(problem.parameters.at(values))))
+            .collect();
+        let order = structure.sparse_order(problem, &supports, rule);
+        if let Some((graph, nodes)) = &order {
+            structure.renumber(graph, nodes);
+        }
+        structure.place_terms(problem, supports);
+        structure.sparse = order
+            .map(|(graph, nodes)| Pattern::new(&graph, &nodes, &structure.signatures, &structure.groups));
         structure.cut_chunks(problem);
         structure
     }
 
-    /// Groups terms by eliminated block, in the order in which the blocks are first seen.
-    fn place_terms(&mut self, problem: &Problem<'_>) {
+    /// Returns the number of entries of the reduced system that partial sums are made of.
+    pub(crate) fn n_entries(&self) -> usize {
+        self.sparse.as_ref().map_or(self.n_reduced * self.n_reduced, Pattern::n_entries)
+    }
+
+    /// Returns the order in which a sparse reduced system is best factored, or `None` if it should be dense.
+    fn sparse_order(
+        &self,
+        problem: &Problem<'_>,
+        supports: &[Option<Vec<u32>>],
+        rule: SparseRule,
+    ) -> Option<(Graph, Vec<u32>)> {
+        if self.n_reduced < rule.least_columns {
+            return None;
+        }
+        let dense_operations = (self.n_reduced as f64).powi(3) / 6.0;
+        let graph = Graph::new(self.n_reduced, &self.cliques(problem, supports));
+        let ordering = graph.best_order();
+        (rule.toll * ordering.operations < dense_operations).then_some((graph, ordering.nodes))
+    }
+
+    /// Returns the sets of reduced columns that terms and eliminations make dense.
+    fn cliques(&self, problem: &Problem<'_>, supports: &[Option<Vec<u32>>]) -> Cliques {
+        let blocks = &problem.parameters.blocks;
+        let mut of_block: BTreeMap<usize, Vec<u32>> = BTreeMap::new();
+        let mut cliques = Cliques::new();
+        let all_columns = |term: &&dyn Term| -> Vec<u32> {
+            let columns = term.blocks().iter().flat_map(|block| &self.reduced_columns[block.0]);
+            columns.copied().collect()
+        };
+        for (term, support) in problem.terms.iter().zip(supports) {
+            let is_first = |block: usize| blocks[block].elimination == Elimination::First;
+            let touched: Vec<u32> = match support {
+                None => all_columns(term).into_iter().filter(|&column| column != HELD).collect(),
+                Some(support) => {
+                    let all = all_columns(term);
+                    support.iter().map(|&k| all[k as usize]).filter(|&column| column != HELD).collect()
+                }
+            };
+            match term.blocks().iter().find(|block| is_first(block.0)) {
+                Some(block) => of_block.entry(block.0).or_default().extend(touched),
+                None => match term.local() {
+                    None => {
+                        cliques.insert(sorted_runs(touched));
+                    }
+                    // Each of its pairs of columns, but not all of them together.
+                    Some(local) => {
+                        let all = all_columns(term);
+                        let column = |column: u32| all.get(column as usize).filter(|&&c| c != HELD);
+                        let pairs = local.entries().into_iter().filter(|[a, b]| a != b);
+                        let pairs = pairs.filter_map(|[a, b]| Some(vec![*column(a)?, *column(b)?]));
+                        cliques.extend(pairs.map(sorted_runs));
+                    }
+                },
+            }
+        }
+        cliques.extend(of_block.into_values().map(sorted_runs));
+        cliques
+    }
+
+    /// Counts the reduced columns in the order of the graph's nodes.
+    fn renumber(&mut self, graph: &Graph, nodes: &[u32]) {
+        self.natural_columns = nodes.iter().flat_map(|&node| graph.columns(node)).collect();
+        let mut new = vec![0; self.n_reduced];
+        for (column, &natural) in self.natural_columns.iter().enumerate() {
+            new[natural as usize] = column as u32;
+        }
+        for column in self.reduced_columns.iter_mut().flatten().filter(|column| **column != HELD) {
+            *column = new[*column as usize];
+        }
+    }
+
+    /// Groups terms by eliminated block; groups that are coupled with the same columns follow each other.
+    fn place_terms(&mut self, problem: &Problem<'_>, mut supports: Vec<Option<Vec<u32>>>) {
         let blocks = &problem.parameters.blocks;
         let is_eliminated = |block: usize| blocks[block].elimination == Elimination::First;
         let mut members: Vec<(Option<usize>, Vec<usize>)> = Vec::new();
@@ -133,7 +279,7 @@ impl Structure {
                 None => members.push((None, vec![term_idx])),
             }
         }
-        let mut signature_of: BTreeMap<Vec<usize>, usize> = BTreeMap::new();
+        let mut signatures_of: BTreeMap<Vec<usize>, Vec<usize>> = BTreeMap::new();
         for (eliminated, term_idxs) in members {
             let reduced_blocks = |term_idx: usize| {
                 problem.terms[term_idx]
@@ -144,9 +290,18 @@ impl Structure {
             };
             let mut columns: Vec<u32> = Vec::new();
             if eliminated.is_some() {
-                for block in term_idxs.iter().flat_map(|&term_idx| reduced_blocks(term_idx)) {
-                    columns.extend(self.reduced_columns[block].iter().filter(|&&column| column != HELD));
+                for &term_idx in &term_idxs {
+                    let all =
+                        reduced_blocks(term_idx).flat_map(|block| &self.reduced_columns[block]).copied();
+                    match &supports[term_idx] {
+                        None => columns.extend(all),
+                        Some(support) => {
+                            let all: Vec<u32> = all.collect();
+                            columns.extend(support.iter().map(|&column| all[column as usize]));
+                        }
+                    }
                 }
+                columns.retain(|&column| column != HELD);
                 columns.sort_unstable();
                 columns.dedup();
             }
@@ -155,10 +310,7 @@ impl Structure {
                 let list: Vec<usize> = reduced_blocks(term_idx).collect();
                 let signature_columns: Vec<u32> =
                     list.iter().flat_map(|&block| &self.reduced_columns[block]).copied().collect();
-                let signature = *signature_of.entry(list).or_insert_with(|| {
-                    self.signatures.push(Signature { columns: signature_columns });
-                    self.signatures.len() - 1
-                });
+                let support = supports[term_idx].take();
                 let mut coupling: Vec<CouplingRun> = Vec::new();
                 let mut eliminated_columns = None;
                 let mut n_columns = 0;
@@ -166,26 +318,65 @@ impl Structure {
                     let end = n_columns + blocks[block.0].n_columns;
                     if is_eliminated(block.0) {
                         eliminated_columns = Some(n_columns..end);
-                    } else if eliminated.is_some() {
+                    } else if eliminated.is_some() && support.is_none() {
                         for (k, column) in self.reduced_columns[block.0].iter().enumerate() {
                             if let Ok(place) = columns.binary_search(column) {
-                                extend(&mut coupling, n_columns + k, place);
+                                extend(&mut coupling, n_columns + k, place, k == 0);
                             }
                         }
                     }
                     n_columns = end;
                 }
+                for (k, &column) in support.iter().flatten().enumerate() {
+                    let column = signature_columns[column as usize];
+                    if let Ok(place) = columns.binary_search(&column) {
+                        extend(&mut coupling, k, place, k == 0);
+                    }
+                }
+                let composite = problem.terms[term_idx].composite().filter(|_| support.is_none());
+                let composite = composite.map(|term| CompositePlace {
+                    columns: term.columns().clone(),
+                    n_columns,
+                    eliminated: eliminated_columns.as_ref().map(|columns| columns.start),
+                });
+                let known = signatures_of.entry(list).or_default();
+                let found = known.iter().copied().find(|&known| {
+                    let Signature { composite: known, local, .. } = &self.signatures[known];
+                    match (known, &composite) {
+                        (Some(known), Some(composite)) => known.is_like(composite),
+                        (None, None) => {
+                            let is_eliminated = eliminated.is_some();
+                            local.as_ref().map(|local| local.is_eliminated)
+                                == support.as_ref().map(|_| is_eliminated)
+                        }
+                        _ => false,
+                    }
+                });
+                let signature = found.unwrap_or_else(|| {
+                    known.push(self.signatures.len());
+                    let local = problem.terms[term_idx].local().map(|local| LocalSignature {
+                        term_idx,
+                        n_sums: local.sum_count(),
+                        entries: local.entries(),
+                        is_eliminated: eliminated.is_some(),
+                    });
+                    self.signatures.push(Signature { columns: signature_columns, composite, local });
+                    self.signatures.len() - 1
+                });
                 self.terms.push(TermPlace {
                     term_idx,
                     signature,
                     eliminated: eliminated_columns,
                     n_columns,
                     coupling,
+                    support,
                 });
             }
             let runs = runs(&columns);
             self.groups.push(Group { eliminated, terms: first_term..self.terms.len(), columns, runs });
         }
+        // Groups with the same columns are eliminated together.
+        self.groups.sort_by(|a, b| a.columns.cmp(&b.columns));
     }
 
     /// Cuts the groups into chunks of about equal work.
@@ -200,8 +391,10 @@ impl Structure {
         self.chunks = cut(&weights, MAX_CHUNKS);
         let weights: Vec<usize> =
             self.groups.iter().map(|group| group.columns.len() * group.columns.len() + 100).collect();
-        let n_sums = (MAX_PARTIAL_SUM / (self.n_reduced * self.n_reduced).max(1)).clamp(2, MAX_CHUNKS / 2);
-        self.schur_chunks = cut(&weights, n_sums);
+        let n_sums = (MAX_PARTIAL_SUM / self.n_entries().max(1)).clamp(2, MAX_CHUNKS / 2);
+        if self.groups.iter().any(|group| group.eliminated.is_some()) {
+            self.schur_chunks = cut(&weights, n_sums);
+        }
     }
 
     /// Returns the number of columns of the eliminated block of a group.
@@ -210,12 +403,21 @@ impl Structure {
     }
 }
 
-/// Adds a column to the last run if it continues that, else begins a new one.
-fn extend(runs: &mut Vec<CouplingRun>, column: usize, place: usize) {
+/// Adds a column to the last run if it continues that and `is_first` of no block, else begins a new one.
+fn extend(runs: &mut Vec<CouplingRun>, column: usize, place: usize, is_first: bool) {
     match runs.last_mut() {
-        Some(run) if run.column + run.length == column && run.place + run.length == place => run.length += 1,
+        Some(run) if !is_first && run.column + run.length == column && run.place + run.length == place => {
+            run.length += 1;
+        }
         _ => runs.push(CouplingRun { column, place, length: 1 }),
     }
+}
+
+/// Returns the maximal runs of a set of columns in any order.
+fn sorted_runs(mut columns: Vec<u32>) -> Vec<Run> {
+    columns.sort_unstable();
+    columns.dedup();
+    runs(&columns).into_iter().map(|(_, first, length)| (first as u32, (first + length) as u32)).collect()
 }
 
 /// Returns the maximal runs of consecutive numbers in a sorted list.

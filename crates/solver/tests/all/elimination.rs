@@ -2,7 +2,8 @@
 //! dense JᵀJ.
 
 use boresight_solver::{
-    BlockId, Covariance, Elimination, Problem, Solution, SolveOptions, Stop, covariance, solve,
+    BlockId, Covariance, Elimination, LinearFunctions, Problem, Solution, SolveOptions, Stop, covariance,
+    solve,
 };
 use faer::Mat;
 
@@ -107,4 +108,41 @@ fn elimination_does_not_change_the_work() {
         let (solution, _) = solved(&Clouds::new(2, 7, 11, elimination), &SolveOptions::default());
         assert_eq!(solution.counters, counters(4, 4, 4, 0), "{elimination:?}");
     }
+}
+
+#[test]
+fn linear_functions_are_as_well_known_as_the_dense_covariance_says() {
+    let eliminated = polished(Clouds::new(2, 5, 11, Elimination::First));
+    let residuals = |values: boresight_solver::Values<'_>| eliminated.residuals(values);
+    let dense = dense_covariance(&eliminated.parameters, &eliminated.blocks(), residuals, 3e-3);
+    let (_, covariance) = solved(&eliminated, &SolveOptions::default());
+    // Three functions: of eliminated poses, of one sensor, and of both.
+    let weight = |i: usize| ((i * 7 + 3) % 11) as f64 / 5.0 - 1.0;
+    let n = eliminated.parameters.column_count();
+    let mut functions = LinearFunctions::new(3);
+    let mut weights = Mat::<f64>::zeros(3, n);
+    let mut add = |first: usize, block: BlockId, salt: usize, n_rows: usize| {
+        let rows: Vec<f64> = (0..6 * n_rows).map(|i| weight(i + salt)).collect();
+        functions.add(first, block, 6, &rows);
+        for (i, entry) in rows.iter().enumerate() {
+            weights[(first + i / 6, eliminated.parameters.columns(block).start + i % 6)] += entry;
+        }
+    };
+    for (salt, &pose) in eliminated.poses.iter().enumerate() {
+        add(0, pose, salt, 1);
+    }
+    add(1, eliminated.sensors[1], 5, 2);
+    add(2, eliminated.poses[3], 9, 1);
+    add(2, eliminated.poses[3], 2, 1);
+    let columns: Vec<(BlockId, usize)> =
+        eliminated.sensors.iter().flat_map(|&sensor| (0..6).map(move |k| (sensor, k))).collect();
+    let found = covariance.of_functions(&functions, &columns);
+    let mut expected = Vec::new();
+    for row in 0..3 {
+        let with = |column: usize| (0..n).map(|k| weights[(row, k)] * dense[(k, column)]).sum::<f64>();
+        expected
+            .extend(columns.iter().map(|(block, k)| with(eliminated.parameters.columns(*block).start + k)));
+        expected.extend((0..3).map(|other| (0..n).map(|k| with(k) * weights[(other, k)]).sum::<f64>()));
+    }
+    close(&found, &expected, 1e-9);
 }

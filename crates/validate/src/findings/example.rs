@@ -54,6 +54,7 @@ impl Example {
                 converged: true,
                 ..SolveRecord::default()
             },
+            held_out: None,
             provenance: Provenance::default(),
         };
         let mut example = Self { dataset: made.dataset, calibration };

@@ -1,0 +1,357 @@
+//! Where cameras and targets sit on a robot: hand-eye and robot-world calibration in one adjustment.
+//!
+//! The cameras are calibrated first, each frame by itself, which tells the outliers and where the target was
+//! seen. Closed forms place rig and target on the robot. One bundle adjustment of pixels follows, of lenses,
+//! rig, target shape and the robot's two poses together, with and without noise of the robot's readings; what
+//! foretells frames best that were left out is the answer.
+
+mod checks;
+mod compare;
+mod document;
+mod doubts;
+mod pose_doctor;
+mod working_points;
+
+use boresight_adjust::{
+    AdjustOptions, EstimatedNoise, HeldOut, Hold, Rejection, RobotNoise, adjust, estimate_robot_noise,
+    leave_one_out, optimize,
+};
+use boresight_data::{
+    Calibration, Dataset, Finding, FrameId, Geometry, Id as _, Mounting, RejectionReason, Robot, Scene,
+};
+use boresight_geometry::{Pose, Vector3};
+use boresight_io::{Job, RobotAxes};
+use boresight_seed::hand_eye::{HandEye, Method, PosePair, hand_eye as closed_form, pose_pair};
+use boresight_validate::verdict;
+
+use crate::calibrate::{Outcome, Watch, calibrate, known_lenses};
+use crate::error::Error;
+use crate::options::CalibrateOptions;
+
+pub use checks::{ROBOT_CODES, check_motions, explain_robot};
+pub use compare::{Figures, MethodFigures};
+pub use document::{HAND_EYE_SCHEMA, HandEyeDocument};
+pub use pose_doctor::{PoseReadings, describe as describe_reading, read_poses};
+pub use working_points::{SigmaSource, WorkingPoint};
+
+/// Frames below which a map of the robot's errors of position is not estimated.
+const LEAST_FRAMES_FOR_STRETCH: usize = 8;
+
+/// How a robot is calibrated.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct HandEyeOptions {
+    /// How the cameras are calibrated.
+    pub cameras: CalibrateOptions,
+    /// How far the robot's readings are off.
+    pub noise: NoiseChoice,
+}
+
+/// How far a robot's readings are off.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum NoiseChoice {
+    /// Estimated from the data, and used if frames that are left out are then foretold better.
+    #[default]
+    Estimated,
+    /// Not at all.
+    None,
+    /// By these standard deviations.
+    Known(RobotNoise),
+}
+
+/// What a robot's calibration came to.
+#[derive(Clone, Debug)]
+pub struct HandEyeOutcome {
+    /// The calibration and its findings; its scene has the robot.
+    pub outcome: Outcome,
+    /// Which of rig and target moves.
+    pub mounting: Mounting,
+    /// All methods, the closed forms first, as they foretell frames that were left out.
+    pub methods: Vec<MethodFigures>,
+    /// Which of them is the answer.
+    pub chosen: usize,
+    /// How each frame is foretold by all others: its name, and the mean distance of its points in metres.
+    pub frames: Vec<(String, f64)>,
+    /// The robot's noise as the data tell it, where it was estimated.
+    pub noise: Option<EstimatedNoise>,
+    /// How well points are known in the robot's base, one a frame.
+    pub working_points: Vec<WorkingPoint>,
+    /// The scatter of the robot's two poses over the frames that were left out, one after another: the
+    /// jackknife's standard deviations `[rx, ry, rz, tx, ty, tz]` of the rig's pose.
+    pub jackknife: [f64; 6],
+}
+
+/// Calibrates cameras and robot of a job.
+pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<HandEyeOutcome, Error> {
+    let robot = job.robot.as_ref().ok_or(Error::NoRobotPoses)?;
+    let first = calibrate(job, &options.cameras, watch)?;
+    let dataset = without_rejected(&first.dataset, &first.calibration);
+    let frames = frames_told(&dataset, &first.calibration.scene);
+    let poses: Vec<Pose> = frames.iter().map(|told| told.base_from_flange).collect();
+    let told = robot.row_of_frame.iter().flatten().count();
+    let readings = pose_doctor::pose_readings(robot, &dataset, &first.calibration.scene);
+    if poses.len() < told
+        && dataset
+            .frames
+            .iter()
+            .zip(&robot.row_of_frame)
+            .any(|(frame, row)| row.is_some() && frame.base_from_flange.is_none())
+    {
+        return Err(Error::UnreadablePoses {
+            convention: robot.convention,
+            finding: readings.finding.map(Box::new),
+        });
+    }
+    let mut findings = check_motions(&poses, robot.axes)?;
+    findings.extend(readings.finding.filter(|_| robot.axes == RobotAxes::Six));
+    let pairs = |mounting| -> Vec<PosePair> {
+        frames.iter().map(|told| pose_pair(mounting, &told.base_from_flange, &told.rig_from_target)).collect()
+    };
+    let corners = corners_of(&dataset);
+    let start = |mounting| best_start(&pairs(mounting), &corners, robot.axes);
+    let mounting = match robot.mounting {
+        Some(mounting) => mounting,
+        None => likelier(start(Mounting::RigOnFlange), start(Mounting::RigInBase)),
+    };
+    let other = if mounting == Mounting::RigOnFlange { Mounting::RigInBase } else { Mounting::RigOnFlange };
+    let (_, mut hand_eye, misfit_m) = start(mounting).ok_or(Error::NoClosedForm { poses: poses.len() })?;
+    findings.extend(doubts::of_mounting(mounting, misfit_m, start(other).map(|(.., misfit_m)| misfit_m)));
+    if let (RobotAxes::Four, Some(pair)) = (robot.axes, pairs(mounting).first()) {
+        hand_eye = at_height(hand_eye, mounting, &pair.other_from_carrier, robot.height_m);
+    }
+
+    let mut holds: Vec<Hold> =
+        known_lenses(job, &dataset).into_iter().map(|(camera, _)| Hold::Lens(camera)).collect();
+    if robot.axes == RobotAxes::Four {
+        holds.push(Hold::BaseHeight);
+    }
+    let exact = AdjustOptions {
+        holds,
+        rejection: Rejection::None,
+        cancel: watch.cancel.clone(),
+        ..options.cameras.adjust_options(&dataset)
+    };
+    let mut seed = first.calibration.scene.clone();
+    seed.robot = Some(Robot::mounted(mounting, hand_eye.carrier_from_rig, hand_eye.other_from_target));
+    let seed = optimize(&dataset, &seed, &exact)?.scene;
+
+    let mut methods =
+        compare::closed_forms(&dataset, &first.calibration.scene, mounting, &frames, robot.axes);
+    let mut candidates: Vec<(AdjustOptions, Vec<HeldOut>)> = Vec::new();
+    let mut offer = |name: &str, options: AdjustOptions, start: &Scene| -> Result<(), Error> {
+        let held_out = leave_one_out(&dataset, start, &options)?;
+        methods.push(MethodFigures::of(name, &held_out));
+        candidates.push((options, held_out));
+        Ok(())
+    };
+    offer("adjusted, robot exact", exact.clone(), &seed)?;
+    let lenses = dataset.cameras.ids().map(Hold::Lens);
+    let held = AdjustOptions { holds: exact.holds.iter().copied().chain(lenses).collect(), ..exact.clone() };
+    let mut with_first_lenses = seed.clone();
+    with_first_lenses.rig = first.calibration.scene.rig.clone();
+    offer("adjusted, lenses held", held, &with_first_lenses)?;
+    let mut noises: [Option<EstimatedNoise>; 2] = [None, None];
+    match options.noise {
+        NoiseChoice::None => {}
+        NoiseChoice::Known(noise) => {
+            let factor = first.calibration.uncertainty.noise_factor.max(1e-9);
+            let relative = RobotNoise {
+                rotation_rad: noise.rotation_rad / factor,
+                translation_m: noise.translation_m / factor,
+                stretch: None,
+            };
+            offer(
+                "adjusted, robot noise known",
+                AdjustOptions { robot_noise: Some(relative), ..exact.clone() },
+                &seed,
+            )?;
+        }
+        NoiseChoice::Estimated => {
+            let factor = first.calibration.uncertainty.noise_factor.max(1e-9);
+            let start =
+                RobotNoise { rotation_rad: 1e-3 / factor, translation_m: 1e-3 / factor, stretch: None };
+            let noise = estimate_robot_noise(&dataset, &with_first_lenses, start, &exact)?;
+            if let Some(plain) = &noise {
+                let with = AdjustOptions { robot_noise: Some(plain.relative), ..exact.clone() };
+                offer("adjusted, robot noise estimated", with, &plain.scene)?;
+            }
+            let stretched = match &noise {
+                // The map's nine numbers take more than they give from few frames, and need all axes to move.
+                Some(plain) if frames.len() >= LEAST_FRAMES_FOR_STRETCH && robot.axes == RobotAxes::Six => {
+                    let start = RobotNoise { stretch: Some(1e-2 / factor), ..plain.relative };
+                    estimate_robot_noise(&dataset, &plain.scene, start, &exact)?
+                }
+                _ => None,
+            };
+            if let Some(stretched) = &stretched {
+                let with = AdjustOptions { robot_noise: Some(stretched.relative), ..exact.clone() };
+                offer("adjusted, robot noise and stretch estimated", with, &stretched.scene)?;
+            }
+            noises = [noise, stretched];
+        }
+    }
+    let n_closed = methods.len() - candidates.len();
+    let chosen = best_of(&methods[n_closed..]);
+    let (chosen_options, held_out) = &candidates[chosen];
+    let is_stretched = chosen_options.robot_noise.is_some_and(|noise| noise.stretch.is_some());
+    let [plain, stretched] = noises;
+    let noise = if is_stretched { stretched } else { plain };
+    let start = match (&noise, chosen_options.robot_noise) {
+        (Some(noise), Some(_)) => &noise.scene,
+        _ if chosen == 1 => &with_first_lenses,
+        _ => &seed,
+    };
+    let mut calibration = adjust(&dataset, start, chosen_options, watch.observer.clone())?;
+    calibration.provenance = first.calibration.provenance.clone();
+    calibration.provenance.options.insert("robot-poses-as".to_owned(), robot.convention.to_string());
+    restore_rejected(&mut calibration, &first, &dataset);
+    let jackknife = working_points::jackknife(held_out);
+    let is_noise_used = chosen_options.robot_noise.is_some();
+    let working_points =
+        working_points::working_points(&dataset, &calibration, mounting, &jackknife, is_noise_used);
+    findings.extend(doubts::of_noise(&methods, noise.as_ref(), is_noise_used));
+    findings.extend(doubts::of_frames(&dataset, held_out));
+    findings.extend(doubts::of_height(robot.axes, robot.height_m));
+    findings.extend(doubts::of_stretch(&calibration));
+    // Of the cameras it is their own calibration that tells; here residuals have the robot's errors in them.
+    findings.extend(first.findings.iter().cloned());
+    findings.sort_by_key(|finding: &Finding| std::cmp::Reverse(finding.severity));
+    let frames = held_out.iter().map(|held_out| {
+        let name = dataset.frames[held_out.frame].name.clone();
+        (name, compare::mean(&held_out.errors.distances_m))
+    });
+    let frames = frames.collect();
+    let outcome =
+        Outcome { calibration, verdict: verdict(&findings), dataset, findings, left_out: first.left_out };
+    let jackknife = jackknife.map(|(sigmas, _)| sigmas).unwrap_or([f64::NAN; 6]);
+    let chosen = n_closed + chosen;
+    Ok(HandEyeOutcome { outcome, mounting, methods, chosen, frames, noise, working_points, jackknife })
+}
+
+/// A frame of which both the robot and the cameras tell.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FrameTold {
+    pub frame: FrameId,
+    pub base_from_flange: Pose,
+    pub rig_from_target: Pose,
+}
+
+fn frames_told(dataset: &Dataset, scene: &Scene) -> Vec<FrameTold> {
+    let told = dataset.frames.enumerate().filter_map(|(frame, info)| {
+        let has_views = dataset.views.iter().any(|view| view.frame == frame);
+        let (base_from_flange, rig_from_target) = (info.base_from_flange?, scene.rig_from_target[frame]?);
+        has_views.then_some(FrameTold { frame, base_from_flange, rig_from_target })
+    });
+    told.collect()
+}
+
+/// Returns the best of all closed forms, with the median distance in metres by which it misses the target.
+fn best_start(
+    pairs: &[PosePair],
+    corners: &[Vector3<f64>],
+    axes: RobotAxes,
+) -> Option<(Method, HandEye, f64)> {
+    let methods = methods_for(axes);
+    let found = methods.iter().filter_map(|&method| {
+        let found = closed_form(pairs, method)?;
+        let mut misfits: Vec<f64> = pairs.iter().map(|pair| found.distance_m(pair, corners)).collect();
+        misfits.sort_by(f64::total_cmp);
+        Some((method, found, misfits[misfits.len() / 2]))
+    });
+    found.min_by(|one, other| one.2.total_cmp(&other.2))
+}
+
+/// Returns the closed forms for a robot.
+pub(crate) fn methods_for(axes: RobotAxes) -> &'static [Method] {
+    match axes {
+        RobotAxes::Six => &Method::SIX_AXIS,
+        RobotAxes::Four => &[Method::FourAxis],
+    }
+}
+
+fn likelier(on_flange: Option<(Method, HandEye, f64)>, in_base: Option<(Method, HandEye, f64)>) -> Mounting {
+    let misfit =
+        |start: &Option<(Method, HandEye, f64)>| start.as_ref().map_or(f64::INFINITY, |(.., misfit)| *misfit);
+    if misfit(&in_base) < misfit(&on_flange) { Mounting::RigInBase } else { Mounting::RigOnFlange }
+}
+
+/// Moves rig and target together along the base's z, so that what stands in the base has its known height.
+fn at_height(
+    found: HandEye,
+    mounting: Mounting,
+    other_from_carrier: &Pose,
+    height_m: Option<f64>,
+) -> HandEye {
+    let lifted = |pose: Pose, by: Vector3<f64>| Pose::new(pose.rotation, pose.translation + by);
+    let height_m = height_m.unwrap_or(0.0);
+    // What rises in the base rises on the flange too, along the base's z as the flange has it in any pose.
+    match mounting {
+        Mounting::RigOnFlange => {
+            let lift = Vector3::z() * (height_m - found.other_from_target.translation.z);
+            HandEye {
+                carrier_from_rig: lifted(
+                    found.carrier_from_rig,
+                    other_from_carrier.rotation.inverse() * lift,
+                ),
+                other_from_target: lifted(found.other_from_target, lift),
+            }
+        }
+        Mounting::RigInBase => {
+            let lift = Vector3::z() * (height_m - found.carrier_from_rig.translation.z);
+            HandEye {
+                carrier_from_rig: lifted(found.carrier_from_rig, lift),
+                other_from_target: lifted(found.other_from_target, other_from_carrier.rotation * lift),
+            }
+        }
+    }
+}
+
+/// Returns the points at which misfits are measured: the outermost of the first target.
+pub(crate) fn corners_of(dataset: &Dataset) -> Vec<Vector3<f64>> {
+    let Some(target) = dataset.targets.iter().next() else { return Vec::new() };
+    let all: Vec<Vector3<f64>> = (0..target.point_count())
+        .map(|i| target.drawn_point(boresight_data::PointId::from_index(i)))
+        .collect();
+    let mut corners = Vec::new();
+    for axis in 0..3 {
+        let by_axis = |a: &&Vector3<f64>, b: &&Vector3<f64>| a[axis].total_cmp(&b[axis]);
+        corners.extend(all.iter().min_by(by_axis));
+        corners.extend(all.iter().max_by(by_axis));
+    }
+    if let Geometry::Chessboard { columns, rows, spacing_m } = target.geometry {
+        let (x, y) = (f64::from(columns - 1) * spacing_m, f64::from(rows - 1) * spacing_m);
+        corners = vec![
+            Vector3::zeros(),
+            Vector3::new(x, 0.0, 0.0),
+            Vector3::new(0.0, y, 0.0),
+            Vector3::new(x, y, 0.0),
+        ];
+    }
+    corners
+}
+
+/// Returns the index of the method that foretells best.
+fn best_of(methods: &[MethodFigures]) -> usize {
+    let means = methods.iter().map(|method| method.figures.map_or(f64::INFINITY, |figures| figures.mean_m));
+    means.enumerate().min_by(|one, other| one.1.total_cmp(&other.1)).map_or(0, |(i, _)| i)
+}
+
+/// Returns the dataset without the observations that a calibration rejected.
+fn without_rejected(dataset: &Dataset, calibration: &Calibration) -> Dataset {
+    let mut kept = dataset.clone();
+    for rejection in &calibration.rejected {
+        kept.views[rejection.view_idx]
+            .observations
+            .retain(|observation| observation.point != rejection.point);
+    }
+    kept
+}
+
+/// Adds what the cameras' own calibration had rejected to the final one.
+fn restore_rejected(calibration: &mut Calibration, first: &Outcome, dataset: &Dataset) {
+    calibration.rejected.extend(first.calibration.rejected.iter().cloned());
+    for rejection in &first.calibration.rejected {
+        if let RejectionReason::Outlier { .. } = rejection.reason {
+            calibration.cameras[dataset.views[rejection.view_idx].camera].rejected += 1;
+        }
+    }
+}

@@ -1,0 +1,19 @@
+//! Target points in one grey image, labelled and with a sigma each.
+//!
+//! [`detect`] asks the detector of the target's kind. It returns points only where what is seen leaves one labelling:
+//! a label that might be wrong is not given, and the reason is returned instead.
+//!
+//! Architecture invariant: nothing here knows a lens, a pose of a camera, or a file.
+
+mod chessboard;
+mod detection;
+mod fit;
+mod grid;
+mod lattice;
+mod placement;
+mod plane;
+mod registry;
+mod saddles;
+
+pub use detection::{Detection, Missed};
+pub use registry::{DETECTORS, Detector, detect};

@@ -1,0 +1,28 @@
+//! The registry of detectors: one line each.
+
+use boresight_data::{Geometry, GrayImage, Target};
+
+use crate::chessboard;
+use crate::detection::{Detection, Missed};
+
+/// A detector of one kind of target.
+pub struct Detector {
+    /// The kind of target, as it is written on the command line.
+    pub name: &'static str,
+    /// Tells whether it detects targets of this geometry.
+    pub(crate) handles: fn(&Geometry) -> bool,
+    /// Detects a target that it handles.
+    pub(crate) detect: fn(&GrayImage, &Target) -> Detection,
+}
+
+/// All detectors.
+pub const DETECTORS: &[Detector] =
+    &[Detector { name: "chessboard", handles: chessboard::handles, detect: chessboard::detect }];
+
+/// Detects the points of a target in an image: whole or in part, or not at all, with the reason.
+pub fn detect(image: &GrayImage, target: &Target) -> Detection {
+    match DETECTORS.iter().find(|detector| (detector.handles)(&target.geometry)) {
+        Some(detector) => (detector.detect)(image, target),
+        None => Detection::missed(Missed::NoDetector),
+    }
+}

@@ -1,0 +1,423 @@
+//! Terms whose poses act through one composite pose, and the short way from their sums to the model.
+//!
+//! Such a term differentiates with respect to the composite of a chain of poses, which takes six
+//! columns however long the chain is; each link moves the composite through a 6x6 map. The sums of
+//! the term's own parameters are those of all terms of a kind and are added up as they lie; only the
+//! six rows of the composite pose are mapped to the links, term by term.
+
+use std::sync::Arc;
+
+use boresight_geometry::{Matrix3, Vector3};
+use pulp::{Simd, WithSimd};
+
+use crate::gram::{PairGram, Row};
+use crate::lanes::MAX_LANES;
+use crate::linearization::{GroupSums, SIDE};
+use crate::problem::{GramMut, POSE_COLUMNS, Scratch, Term, Values};
+use crate::structure::{CompositePlace, CouplingRun};
+
+/// The most links of a chain that are blocks: camera, mount, robot, target mount, target, and room to spare.
+pub const MAX_LINKS: usize = 8;
+
+/// A term whose poses act through one composite pose.
+///
+/// Its columns are its own parameters', then those of the links of the chain, in order.
+pub trait CompositeTerm: Term {
+    /// Returns where the products of its columns lie.
+    fn columns(&self) -> &Arc<CompositeColumns>;
+
+    /// Leaves the sums of the products of all rows in `scratch.gram` and the maps of the links in
+    /// `scratch.links`, or returns `None` where the term is not defined.
+    fn sum_products(&self, values: Values<'_>, scratch: &mut Scratch) -> Option<Weighed>;
+}
+
+/// What the sums of products of a term stand for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Weighed {
+    /// What the sums are to be multiplied by.
+    pub factor: f64,
+    /// The term's cost, as [`Term::linearize`] has it.
+    pub cost: f64,
+}
+
+/// The maps of a chain's links, in order.
+#[derive(Clone, Debug, Default)]
+pub struct Links {
+    maps: [Option<LinkMap>; MAX_LINKS],
+    n: usize,
+}
+
+/// How a left perturbation of a link moves the composite pose: the adjoint of a pose, or less that.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LinkMap {
+    /// Row by row; the last two columns are zero and fill the registers.
+    rows: [[f64; BLOCK_STRIDE]; POSE_COLUMNS],
+}
+
+/// The distance of rows in a map and in what it makes of the composite's columns.
+const BLOCK_STRIDE: usize = MAX_LANES;
+
+impl Links {
+    /// Forgets all links.
+    pub fn clear(&mut self) {
+        self.n = 0;
+    }
+
+    /// Adds a link; `None` is the identity, which spares the products.
+    ///
+    /// # Panics
+    /// If there are more than [`MAX_LINKS`].
+    #[inline(always)]
+    pub fn push(&mut self, map: Option<LinkMap>) {
+        self.maps[self.n] = map;
+        self.n += 1;
+    }
+
+    /// Returns the maps.
+    pub fn maps(&self) -> &[Option<LinkMap>] {
+        &self.maps[..self.n]
+    }
+}
+
+impl LinkMap {
+    /// Returns `sign` times the adjoint of the pose of this rotation and translation.
+    #[inline(always)]
+    pub fn adjoint(rotation: &Matrix3<f64>, t: &Vector3<f64>, sign: f64) -> Self {
+        let mut rows = [[0.0; BLOCK_STRIDE]; POSE_COLUMNS];
+        for k in 0..3 {
+            let [x, y, z] = [rotation[(0, k)] * sign, rotation[(1, k)] * sign, rotation[(2, k)] * sign];
+            (rows[0][k], rows[1][k], rows[2][k]) = (x, y, z);
+            (rows[3][3 + k], rows[4][3 + k], rows[5][3 + k]) = (x, y, z);
+            (rows[3][k], rows[4][k], rows[5][k]) = (t.y * z - t.z * y, t.z * x - t.x * z, t.x * y - t.y * x);
+        }
+        Self { rows }
+    }
+
+    /// Returns the map as a matrix, row by row.
+    pub fn matrix(&self) -> [[f64; POSE_COLUMNS]; POSE_COLUMNS] {
+        self.rows.map(|row| std::array::from_fn(|k| row[k]))
+    }
+}
+
+/// Where the products of a term's columns lie among its sums.
+///
+/// The columns are its own parameters', the composite pose's and the residual.
+#[derive(Clone, Debug)]
+pub struct CompositeColumns {
+    n_own: usize,
+    n_sums: usize,
+    /// For each entry of the upper triangle over own columns and residual, the two sums that make it up.
+    own: Vec<[u32; 2]>,
+    /// The same for all columns of the six rows of the composite pose, rows [`stride`](Self::stride)
+    /// apart: the first sum of each, then the second of the few that have one, with the entry.
+    pose: Vec<u32>,
+    pose_seconds: Vec<(u32, u32)>,
+}
+
+impl CompositeColumns {
+    /// Returns where the products lie, given for each column which column of the rows it is, and in
+    /// which of a pixel's two rows it alone is not zero, if in one only.
+    ///
+    /// The columns are `n_own` own ones, six of the composite pose, and the residual. The rows have
+    /// `n_row_columns`; columns of one row alone must be among the first [`BLOCK`](crate::gram::BLOCK).
+    pub fn new(n_own: usize, n_row_columns: usize, column: impl Fn(usize) -> (Option<Row>, usize)) -> Self {
+        let n_lanes = crate::lanes::count();
+        let n_sums = PairGram::sum_count(n_row_columns);
+        let nothing = n_sums as u32;
+        let residual = n_own + POSE_COLUMNS;
+        let sums = |a: usize, b: usize| {
+            let ((row_a, a), (row_b, b)) = (column(a), column(b));
+            let place = |row| PairGram::place(n_row_columns, n_lanes, row, a, b) as u32;
+            match (row_a, row_b) {
+                (Some(a), Some(b)) if a != b => [nothing; 2],
+                (Some(row), _) | (_, Some(row)) => [place(row), nothing],
+                _ if a.min(b) < crate::gram::BLOCK => [place(Row::U), place(Row::V)],
+                _ => [place(Row::U), nothing],
+            }
+        };
+        let of_own: Vec<usize> = (0..n_own).chain([residual]).collect();
+        let mut own = Vec::new();
+        for (k, &a) in of_own.iter().enumerate() {
+            own.extend(of_own[k..].iter().map(|&b| sums(a, b)));
+        }
+        let mut columns = Self { n_own, n_sums, own, pose: Vec::new(), pose_seconds: Vec::new() };
+        let stride = columns.stride();
+        for row in 0..POSE_COLUMNS {
+            for b in 0..=residual {
+                let [first, second] = sums(n_own + row, b);
+                if second != nothing {
+                    columns.pose_seconds.push((columns.pose.len() as u32, second));
+                }
+                columns.pose.push(first);
+            }
+            columns.pose.resize((row + 1) * stride, nothing);
+        }
+        columns
+    }
+
+    /// Returns the number of the term's own columns.
+    pub fn own_count(&self) -> usize {
+        self.n_own
+    }
+
+    /// Returns the place of the residual's products with itself.
+    pub fn squares(&self, sums: &[f64]) -> f64 {
+        self.own.last().map_or(0.0, |&places| at(sums, places))
+    }
+
+    fn stride(&self) -> usize {
+        (self.n_own + POSE_COLUMNS + 1).next_multiple_of(MAX_LANES)
+    }
+
+    fn residual(&self) -> usize {
+        self.n_own + POSE_COLUMNS
+    }
+
+    /// Returns the number of links of a term with `n_columns` in all.
+    fn link_count(&self, n_columns: usize) -> usize {
+        (n_columns - self.n_own) / POSE_COLUMNS
+    }
+
+    /// Writes `factor` times the rows of the composite pose.
+    #[inline(always)]
+    fn gather(&self, sums: &[f64], factor: f64, rows: &mut [f64]) {
+        for (entry, &place) in rows.iter_mut().zip(&self.pose) {
+            *entry = factor * sums[place as usize];
+        }
+        for &(entry, place) in &self.pose_seconds {
+            rows[entry as usize] += factor * sums[place as usize];
+        }
+    }
+
+    /// Calls `write` with each entry of the upper triangle over own columns and residual, whose
+    /// column is `n_own` here.
+    pub(crate) fn each_own(&self, sums: &[f64], mut write: impl FnMut(usize, usize, f64)) {
+        let mut places = self.own.iter();
+        for a in 0..=self.n_own {
+            for (b, places) in (a..=self.n_own).zip(&mut places) {
+                write(a, b, at(sums, *places));
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn at(sums: &[f64], [first, second]: [u32; 2]) -> f64 {
+    sums[first as usize] + sums[second as usize]
+}
+
+/// Writes what a term's products amount to as a plain matrix of all its columns.
+///
+/// This is what [`Term::linearize`] of a composite term does; the solver itself goes the short way.
+pub fn linearize_composite(
+    term: &dyn CompositeTerm,
+    values: Values<'_>,
+    gram: &mut GramMut<'_>,
+    scratch: &mut Scratch,
+) -> Option<f64> {
+    let Weighed { factor, cost } = term.sum_products(values, scratch)?;
+    let columns = &**term.columns();
+    let n_own = columns.n_own;
+    let last = gram.size() - 1;
+    let place = |column: usize| if column == n_own { last } else { column };
+    columns.each_own(scratch.gram.sums(), |a, b, sum| gram.row_mut(place(a))[place(b)] = factor * sum);
+    let mut rows = vec![0.0; POSE_COLUMNS * columns.stride()];
+    columns.gather(scratch.gram.sums(), factor, &mut rows);
+    let entry = |row: usize, column: usize| rows[row * columns.stride() + column];
+    let identity: [[f64; 6]; 6] =
+        std::array::from_fn(|k| std::array::from_fn(|l| f64::from(u8::from(k == l))));
+    let maps: Vec<_> =
+        scratch.links.maps().iter().map(|map| map.map_or(identity, |map| map.matrix())).collect();
+    for (link, map) in maps.iter().enumerate() {
+        for k in 0..POSE_COLUMNS {
+            let mapped =
+                |column: usize| map.iter().enumerate().map(|(l, row)| row[k] * entry(l, column)).sum::<f64>();
+            let column = n_own + POSE_COLUMNS * link + k;
+            for a in 0..n_own {
+                gram.row_mut(a)[column] = mapped(a);
+            }
+            gram.row_mut(column)[last] = mapped(columns.residual());
+            let row: [f64; POSE_COLUMNS] = std::array::from_fn(|l| mapped(n_own + l));
+            for (other, map) in maps.iter().enumerate().skip(link) {
+                let first = n_own + POSE_COLUMNS * other;
+                for (l, entry) in gram.row_mut(column)[first..first + POSE_COLUMNS].iter_mut().enumerate() {
+                    *entry = row.iter().zip(map).map(|(row, map)| row * map[l]).sum();
+                }
+            }
+        }
+    }
+    Some(cost)
+}
+
+/// Sums over composite terms of one kind.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct CompositeSums {
+    /// Of the products of rows, as they lie, and a zero.
+    pub sums: Vec<f64>,
+    /// For each link six rows, which have the mapped columns of the composite term and then
+    /// [`BLOCK_STRIDE`] for each link; nothing for an eliminated link.
+    pub links: Vec<f64>,
+}
+
+impl CompositeSums {
+    /// Returns the room for terms of `n_columns` in all.
+    pub(crate) fn new(columns: &CompositeColumns, n_columns: usize) -> Self {
+        let n_links = columns.link_count(n_columns);
+        Self {
+            sums: vec![0.0; columns.n_sums + 1],
+            links: vec![0.0; n_links * POSE_COLUMNS * (columns.stride() + n_links * BLOCK_STRIDE)],
+        }
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.sums.is_empty()
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.sums.fill(0.0);
+        self.links.fill(0.0);
+    }
+
+    /// Adds everything to the upper triangle `matrix` over the term's columns without the eliminated ones.
+    pub(crate) fn add_to(&self, place: &CompositePlace, matrix: &mut [f64]) {
+        let &CompositePlace { ref columns, n_columns, eliminated } = place;
+        let (n_own, n_links) = (columns.n_own, columns.link_count(n_columns));
+        let side = n_columns + 1 - eliminated.map_or(0, |_| POSE_COLUMNS);
+        let own_place = |column: usize| if column == n_own { side - 1 } else { column };
+        columns.each_own(&self.sums, |a, b, sum| matrix[own_place(a) * side + own_place(b)] += sum);
+        // The links that are left, and where their columns begin.
+        let first = |link: usize| n_own + POSE_COLUMNS * link;
+        let left = (0..n_links).filter(|&link| Some(first(link)) != eliminated);
+        let left: Vec<(usize, usize)> = left.enumerate().map(|(place, link)| (link, first(place))).collect();
+        let stride = columns.stride() + n_links * BLOCK_STRIDE;
+        for (at, &(link, first)) in left.iter().enumerate() {
+            for k in 0..POSE_COLUMNS {
+                let row = &self.links[(POSE_COLUMNS * link + k) * stride..][..stride];
+                let column = first + k;
+                for (own, entry) in row[..n_own].iter().enumerate() {
+                    matrix[own * side + column] += entry;
+                }
+                matrix[column * side + side - 1] += row[columns.residual()];
+                let blocks = row[columns.stride()..].chunks_exact(BLOCK_STRIDE);
+                let blocks: Vec<&[f64]> = blocks.collect();
+                for &(other, other_first) in &left[at..] {
+                    for l in (0..POSE_COLUMNS).filter(|&l| other != link || l >= k) {
+                        matrix[column * side + other_first + l] += blocks[other][l];
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Adds a composite term to the sums of its kind and of its group.
+pub(crate) struct AddComposite<'a> {
+    pub columns: &'a CompositeColumns,
+    pub factor: f64,
+    /// The number of all the term's columns.
+    pub n_columns: usize,
+    /// The first column of the eliminated link.
+    pub eliminated: Option<usize>,
+    pub scratch: &'a mut Scratch,
+    pub kind: &'a mut CompositeSums,
+    pub group: &'a mut GroupSums,
+    pub coupling: &'a [CouplingRun],
+}
+
+impl WithSimd for AddComposite<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { columns, factor, n_columns, eliminated, scratch, kind, group, coupling } = self;
+        let Scratch { gram, links, pose_rows, link_rows, .. } = scratch;
+        let (stride, n_own) = (columns.stride(), columns.n_own);
+        let n_links = columns.link_count(n_columns);
+        let row_stride = stride + n_links * BLOCK_STRIDE;
+        // A block is read where the row of its columns may end one number before it.
+        let n_rows = POSE_COLUMNS * stride;
+        pose_rows.resize(n_rows + BLOCK_STRIDE, 0.0);
+        link_rows.resize(POSE_COLUMNS * row_stride + BLOCK_STRIDE, 0.0);
+        add_scaled(simd, &mut kind.sums[..columns.n_sums], &gram.sums()[..columns.n_sums], factor);
+        columns.gather(gram.sums(), factor, pose_rows);
+        for (link, map) in links.maps().iter().enumerate() {
+            let first = n_own + POSE_COLUMNS * link;
+            for k in 0..POSE_COLUMNS {
+                let row = &mut link_rows[k * row_stride..(k + 1) * row_stride + BLOCK_STRIDE];
+                match map {
+                    None => copy(simd, &mut row[..stride], &pose_rows[k * stride..(k + 1) * stride]),
+                    Some(map) => {
+                        let mut factors = [0.0; POSE_COLUMNS];
+                        for (factor, row) in factors.iter_mut().zip(&map.rows) {
+                            *factor = row[k];
+                        }
+                        combine(simd, &mut row[..stride], pose_rows, stride, factors);
+                    }
+                }
+            }
+            for (other, map) in links.maps().iter().enumerate() {
+                // What an eliminated link has to do with this one stands in its own rows.
+                if eliminated == Some(n_own + POSE_COLUMNS * other) && other != link {
+                    continue;
+                }
+                for k in 0..POSE_COLUMNS {
+                    let row = &mut link_rows[k * row_stride..(k + 1) * row_stride + BLOCK_STRIDE];
+                    let (row, blocks) = row.split_at_mut(stride);
+                    let block = &mut blocks[other * BLOCK_STRIDE..(other + 1) * BLOCK_STRIDE];
+                    let mut pose = [0.0; POSE_COLUMNS];
+                    pose.copy_from_slice(&row[n_own..n_own + POSE_COLUMNS]);
+                    match map {
+                        None => block[..POSE_COLUMNS].copy_from_slice(&pose),
+                        Some(map) => combine(simd, block, map.rows.as_flattened(), BLOCK_STRIDE, pose),
+                    }
+                }
+            }
+            if eliminated == Some(first) {
+                for k in 0..POSE_COLUMNS {
+                    let (row, blocks) = link_rows[k * row_stride..(k + 1) * row_stride].split_at(stride);
+                    let own = &blocks[link * BLOCK_STRIDE..];
+                    group.add_row(k, [row, blocks], n_own, own, row[columns.residual()], coupling);
+                }
+            } else {
+                let n = POSE_COLUMNS * row_stride;
+                add_scaled(simd, &mut kind.links[link * n..(link + 1) * n], &link_rows[..n], 1.0);
+            }
+        }
+    }
+}
+
+/// Adds `factor` times `parts` to `sums`, which are whole registers.
+#[inline(always)]
+fn add_scaled<S: Simd>(simd: S, sums: &mut [f64], parts: &[f64], factor: f64) {
+    let factor = simd.splat_f64s(factor);
+    let (sums, _) = S::as_mut_simd_f64s(sums);
+    let (parts, _) = S::as_simd_f64s(parts);
+    for (sum, part) in sums.iter_mut().zip(parts) {
+        *sum = simd.mul_add_f64s(factor, *part, *sum);
+    }
+}
+
+/// Writes `from` to `to`, which are whole registers.
+#[inline(always)]
+fn copy<S: Simd>(_: S, to: &mut [f64], from: &[f64]) {
+    let (to, _) = S::as_mut_simd_f64s(to);
+    let (from, _) = S::as_simd_f64s(from);
+    to.copy_from_slice(from);
+}
+
+/// Writes the sum of `factors` times six rows, which are `stride` apart and whole registers.
+#[inline(always)]
+fn combine<S: Simd>(simd: S, sum: &mut [f64], rows: &[f64], stride: usize, factors: [f64; POSE_COLUMNS]) {
+    let (sum, _) = S::as_mut_simd_f64s(sum);
+    for (at, sum) in sum.iter_mut().enumerate() {
+        let mut total = simd.splat_f64s(0.0);
+        for (l, factor) in factors.into_iter().enumerate() {
+            let start = l * stride + at * S::F64_LANES;
+            let row = S::as_simd_f64s(&rows[start..start + S::F64_LANES]).0[0];
+            total = simd.mul_add_f64s(simd.splat_f64s(factor), row, total);
+        }
+        *sum = total;
+    }
+}
+
+const _: () = assert!(SIDE == POSE_COLUMNS);
