@@ -104,6 +104,7 @@ impl Error {
         let text = |text: &str| Some(text.to_owned());
         match self {
             Error::Io(error) => error.hint(),
+            Error::Robot(error) => error.hint(),
             Error::NoRobotPoses => text(
                 "add [robot] with mount and poses to the job, or --poses FILE with --mount on-flange or fixed",
             ),
@@ -115,7 +116,6 @@ impl Error {
             Error::NoClosedForm { .. } => text(
                 "`boresight robot poses` tries all readings of the poses; are they turned about different axes?",
             ),
-            Error::Robot(error) => error.hint(),
             Error::Options { .. } => {
                 text("[options] takes model, shape, regularization, loss, reject, cameras and jobs")
             }

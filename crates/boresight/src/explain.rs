@@ -47,8 +47,8 @@ const OF_INPUT: &[(&str, &str)] = &[
 /// Returns the long text of a code: what it means, why it matters, how to fix it. `None` for an unknown code.
 pub fn explain(code: &str) -> Option<&'static str> {
     let of_input = || OF_INPUT.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
-    let of_robot = || TEXTS.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
-    boresight_validate::explain(code).or_else(of_input).or_else(|| explain_robot(code)).or_else(of_robot)
+    let of_plane = || TEXTS.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
+    boresight_validate::explain(code).or_else(of_input).or_else(|| explain_robot(code)).or_else(of_plane)
 }
 
 /// Returns all codes in alphabetical order.

@@ -27,15 +27,19 @@ pub(crate) enum RobotCommand {
     Plane(plane::PlaneArguments),
     /// Find objects in the robot's frame from one image, by a plane (Eqs 8.28 to 8.30)
     Pose(pose::PoseArguments),
+    /// Calibrate where cameras and target sit on a robot, with the lenses, in one adjustment
+    HandEye(hand_eye::HandEyeArguments),
+    /// Try all conventions of a table of robot poses on the data, and rank them
+    Poses(poses::PosesArguments),
 }
 
 /// Runs a subcommand.
 pub(crate) fn run(command: &RobotCommand) -> Result<ExitCode, Failure> {
     match command {
-        RobotCommand::HandEye(arguments) => hand_eye::run(arguments),
-        RobotCommand::Poses(arguments) => poses::run(arguments),
         RobotCommand::Locate(arguments) => locate::run(arguments),
         RobotCommand::Plane(arguments) => plane::run(arguments),
         RobotCommand::Pose(arguments) => pose::run(arguments),
+        RobotCommand::HandEye(arguments) => hand_eye::run(arguments),
+        RobotCommand::Poses(arguments) => poses::run(arguments),
     }
 }
