@@ -8,4 +8,6 @@ mod golden {
     mod mrcal_problems;
     mod opencv_corners;
     mod synthetic_rigs;
+    mod uncertainty;
+    mod uncertainty_scatter;
 }
