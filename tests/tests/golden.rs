@@ -11,4 +11,6 @@ mod golden {
     mod poses;
     mod synthetic_rigs;
     mod triangulation;
+    mod uncertainty;
+    mod uncertainty_scatter;
 }

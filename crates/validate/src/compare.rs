@@ -25,9 +25,10 @@
 //! disc has a third of this radius: a turn that is off by 0.01 px at its rim is off by 0.05 px in a corner).
 //! The loss is quadratic below a pixel and linear above, hence convex in the residuals.
 
-mod grid;
+pub(crate) mod grid;
 mod implied;
 mod rigs;
+mod significance;
 
 use std::cmp::Ordering;
 
@@ -39,7 +40,10 @@ use crate::Error;
 use crate::statistics::quantile;
 use grid::Grid;
 use implied::{Eyes, MIN_POINTS, Sight, fit_implied};
-pub use rigs::{CameraComparison, ComparedCamera, PairDifference, RigComparison, compare_rigs};
+pub use rigs::{
+    CameraComparison, ComparedCamera, PairDifference, RigComparison, compare_known_rigs, compare_rigs,
+};
+pub use significance::{PoseSignificance, Significance, TransferDifference};
 
 /// A fit whose last step moved the pixels by more than this has not found its minimum.
 const UNSETTLED_PX: f64 = 1e-6;

@@ -64,6 +64,26 @@ pub enum Error {
         /// The names of the second calibration's cameras.
         b: Vec<String>,
     },
+    /// The calibration tells no uncertainty.
+    #[error("there is no uncertainty: {why}")]
+    NoCovariance {
+        /// Why.
+        why: String,
+    },
+    /// The calibration does not tell how the poses of the frames vary with the lens.
+    #[error(
+        "the calibration does not tell how the views of camera {camera} move with its lens; calibrate anew"
+    )]
+    NoMotions {
+        /// The camera's name.
+        camera: String,
+    },
+    /// The camera is not in the calibration.
+    #[error("camera {camera} is not calibrated")]
+    NotCalibrated {
+        /// The camera's name.
+        camera: String,
+    },
     /// Two cameras of the same name cannot be compared.
     #[error("camera {name} cannot be compared")]
     Camera {

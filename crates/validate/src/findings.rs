@@ -15,6 +15,7 @@ mod duplicate_points;
 #[cfg(test)]
 mod example;
 mod few_views;
+mod held_out;
 mod large_rms;
 mod left_out;
 mod little_tilt;
@@ -23,6 +24,7 @@ mod near_identical_frames;
 mod no_covariance;
 mod not_converged;
 mod not_monotonic;
+mod not_separable;
 mod registry;
 mod regularization_pull;
 mod uncertain_focal;

@@ -5,6 +5,9 @@
 //! rig's geometry. [`findings`] notices what is doubtful about a calibration, each with a code, a
 //! number, a limit and a fix; [`verdict`] sums them up; [`explain`] is the long text of a code.
 //!
+//! [`ProjectionUncertainty`] is how well a camera's projections are known, over the image and with
+//! distance, and [`stereo_uncertainty`] how well two cameras measure distance.
+//!
 //! A finding is a plug: one file in `findings/` and one line in `findings/registry.rs`.
 //!
 //! Architecture invariant: nothing here solves for a calibration or changes one.
@@ -12,13 +15,19 @@
 mod compare;
 mod error;
 mod findings;
+mod slopes;
 mod statistics;
+mod uncertainty;
 mod verdict;
 
 pub use compare::{
-    CameraComparison, CompareOptions, ComparedCamera, Comparison, PairDifference, RigComparison, compare,
-    compare_rigs,
+    CameraComparison, CompareOptions, ComparedCamera, Comparison, PairDifference, PoseSignificance,
+    RigComparison, Significance, TransferDifference, compare, compare_known_rigs, compare_rigs,
 };
 pub use error::Error;
 pub use findings::{codes, explain, findings};
+pub use uncertainty::{
+    AtDistance, Method, ProjectionUncertainty, Propagation, Spread, StereoUncertainty, UncertaintyMap,
+    stereo_uncertainty,
+};
 pub use verdict::{Verdict, verdict};

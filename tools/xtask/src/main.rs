@@ -11,6 +11,7 @@ mod reference;
 mod robot;
 mod table;
 mod tidy;
+mod uncertainty;
 
 use std::process::ExitCode;
 
@@ -32,6 +33,12 @@ const COMMANDS: &[Command] = &[
         usage: "[--rounds N] [--problems DIR] [--keep-docs]",
         about: "measures Boresight and its peers, interleaved, and writes the tables of docs/performance.md",
         run: bench::run,
+    },
+    Command {
+        name: "uncertainty",
+        usage: "[--problem FILE]",
+        about: "works out an uncertainty map, ours and mrcal's, and compares values and CPU time",
+        run: uncertainty::run,
     },
     Command {
         name: "reference",

@@ -9,15 +9,15 @@ const COLUMNS: [usize; 2] = [2, 1000];
 
 /// Pixels evenly spread from the centre of the top-left pixel to that of the bottom-right one.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Grid {
-    pub(super) image_size: [u32; 2],
-    pub(super) columns: usize,
-    pub(super) rows: usize,
+pub(crate) struct Grid {
+    pub(crate) image_size: [u32; 2],
+    pub(crate) columns: usize,
+    pub(crate) rows: usize,
 }
 
 impl Grid {
     /// Returns the grid over the images of both cameras, with cells about as high as wide.
-    pub(super) fn new(a: &Camera, b: &Camera, options: &CompareOptions) -> Result<Self, Error> {
+    pub(crate) fn new(a: &Camera, b: &Camera, options: &CompareOptions) -> Result<Self, Error> {
         if a.image_size != b.image_size {
             return Err(Error::ImageSizes { a: a.image_size, b: b.image_size });
         }
@@ -33,12 +33,12 @@ impl Grid {
     }
 
     /// Returns the number of points.
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.columns * self.rows
     }
 
     /// Returns the pixel of a point, counted row by row.
-    pub(super) fn pixel(&self, i: usize) -> [f64; 2] {
+    pub(crate) fn pixel(&self, i: usize) -> [f64; 2] {
         let along = |index: usize, count: usize, size: u32| {
             f64::from(size.saturating_sub(1)) * index as f64 / (count.max(2) - 1) as f64
         };
@@ -48,7 +48,7 @@ impl Grid {
     }
 
     /// Returns the distance in pixels of a point from the middle of the image.
-    pub(super) fn radius(&self, i: usize) -> f64 {
+    pub(crate) fn radius(&self, i: usize) -> f64 {
         let middle = self.image_size.map(|size| 0.5 * (f64::from(size) - 1.0));
         let [u, v] = self.pixel(i);
         (u - middle[0]).hypot(v - middle[1])

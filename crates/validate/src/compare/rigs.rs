@@ -1,9 +1,14 @@
 //! The difference of two calibrations of several cameras: lens by lens, and where the cameras sit.
 
 use boresight_camera::Camera;
+use boresight_data::Uncertainty;
 use boresight_geometry::Pose;
 use serde::{Deserialize, Serialize};
 
+use super::significance::{
+    EyePair, Known, PoseSignificance, Significance, TransferDifference, of_lenses, of_poses, of_transfer,
+};
+use crate::uncertainty::Eye;
 use crate::{CompareOptions, Comparison, Error, compare};
 
 /// A camera of a calibration, from whatever file it came.
@@ -39,6 +44,8 @@ pub struct CameraComparison {
     pub name_in_b: String,
     /// The difference.
     pub comparison: Comparison,
+    /// The difference against what both calibrations' uncertainties predict; `None` where either is unknown.
+    pub significance: Option<Significance>,
 }
 
 /// The difference of the pose of one camera relative to another.
@@ -64,6 +71,11 @@ pub struct PairDifference {
     pub aligned_rotation_deg: f64,
     /// The distance in millimetres after the implied transforms.
     pub aligned_translation_mm: f64,
+    /// The difference of the poses as they are against what both uncertainties predict; `None` where either
+    /// is unknown.
+    pub significance: Option<PoseSignificance>,
+    /// Where camera `to` sees what `from` sees; `None` where they see nothing in common.
+    pub transfer: Option<TransferDifference>,
 }
 
 /// Returns how far two calibrations differ.
@@ -75,6 +87,18 @@ pub fn compare_rigs(
     b: &[ComparedCamera],
     options: &CompareOptions,
 ) -> Result<RigComparison, Error> {
+    compare_known_rigs(a, b, [None, None], options)
+}
+
+/// Does what [`compare_rigs`] does, and tells how significant the differences are where both
+/// calibrations tell how well they are known. Cameras have the names that the uncertainties know them by.
+pub fn compare_known_rigs(
+    a: &[ComparedCamera],
+    b: &[ComparedCamera],
+    uncertainties: [Option<&Uncertainty>; 2],
+    options: &CompareOptions,
+) -> Result<RigComparison, Error> {
+    let known = uncertainties.map(|uncertainty| uncertainty.and_then(Known::new));
     let pairs = paired(a, b);
     let names = |cameras: &[ComparedCamera]| cameras.iter().map(|camera| camera.name.clone()).collect();
     if pairs.is_empty() {
@@ -85,7 +109,19 @@ pub fn compare_rigs(
         .map(|(in_a, in_b)| {
             let comparison = compare(&in_a.camera, &in_b.camera, options)
                 .map_err(|error| Error::Camera { name: in_a.name.clone(), source: Box::new(error) })?;
-            Ok(CameraComparison { name: in_a.name.clone(), name_in_b: in_b.name.clone(), comparison })
+            let significance = match &known {
+                [Some(of_a), Some(of_b)] => {
+                    let (eye_a, eye_b) = (eye(in_a, Some(of_a)), eye(in_b, Some(of_b)));
+                    of_lenses(&comparison, [(of_a, &eye_a), (of_b, &eye_b)])
+                }
+                _ => None,
+            };
+            Ok(CameraComparison {
+                name: in_a.name.clone(),
+                name_in_b: in_b.name.clone(),
+                comparison,
+                significance,
+            })
         })
         .collect();
     let cameras = compared?;
@@ -93,7 +129,7 @@ pub fn compare_rigs(
     for (first, from) in pairs.iter().enumerate() {
         for (second, to) in pairs.iter().enumerate().skip(first + 1) {
             let implied = [first, second].map(|i| cameras[i].comparison.b_from_a());
-            differences.extend(pair_difference(*from, *to, implied));
+            differences.extend(pair_difference(*from, *to, implied, &known, options));
         }
     }
     let without = |side: &[ComparedCamera], is_paired: &dyn Fn(&ComparedCamera) -> bool| {
@@ -121,6 +157,8 @@ fn pair_difference(
     from: Pair,
     to: Pair,
     [b_from_a_of_from, b_from_a_of_to]: [Pose; 2],
+    known: &[Option<Known<'_>>; 2],
+    options: &CompareOptions,
 ) -> Option<PairDifference> {
     let in_a = to.0.cam_from_rig? * from.0.cam_from_rig?.inverse();
     let in_b = to.1.cam_from_rig? * from.1.cam_from_rig?.inverse();
@@ -128,7 +166,17 @@ fn pair_difference(
     let position = |to_from_from: &Pose| to_from_from.inverse().translation;
     let rotation_deg = |pose: &Pose| angle_between(&in_b, pose).to_degrees();
     let translation_mm = |pose: &Pose| 1e3 * (position(&in_b) - position(pose)).norm();
+    let eyes = [
+        [eye(from.0, known[0].as_ref()), eye(to.0, known[0].as_ref())],
+        [eye(from.1, known[1].as_ref()), eye(to.1, known[1].as_ref())],
+    ];
+    let pair =
+        |which: usize| EyePair { from: &eyes[which][0], to: &eyes[which][1], known: known[which].as_ref() };
+    let pairs = [pair(0), pair(1)];
+    let pairs = [&pairs[0], &pairs[1]];
     Some(PairDifference {
+        significance: of_poses(pairs),
+        transfer: of_transfer(pairs, options),
         from: from.0.name.clone(),
         to: to.0.name.clone(),
         baseline_a_mm: 1e3 * in_a.translation.norm(),
@@ -138,6 +186,21 @@ fn pair_difference(
         aligned_rotation_deg: rotation_deg(&aligned),
         aligned_translation_mm: translation_mm(&aligned),
     })
+}
+
+/// Returns a camera with the places of what is known of it: none if nothing is.
+fn eye(camera: &ComparedCamera, known: Option<&Known<'_>>) -> Eye {
+    let pose = camera.cam_from_rig.unwrap_or_default();
+    match known {
+        Some(known) => Eye::of(&known.joint, camera.name.clone(), camera.camera.clone(), pose),
+        None => Eye {
+            name: camera.name.clone(),
+            camera: camera.camera.clone(),
+            cam_from_rig: pose,
+            lens: Vec::new(),
+            pose: Vec::new(),
+        },
+    }
 }
 
 /// Returns the angle between two orientations in radians: exactly zero for equal ones.

@@ -1,0 +1,72 @@
+//! `cargo xtask uncertainty`: the uncertainty map of one camera, ours and mrcal's, from the same problem.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Context as _, bail};
+use serde::Deserialize;
+
+use crate::arguments::Arguments;
+use crate::process::{cargo, command, output, run as run_process, target};
+
+/// The problem, unless told otherwise, and the camera and distance of the map.
+const PROBLEM: &str = "../shared/conformance/mrcal/problems/c2_f200_b10_opencv8.npz";
+const CAMERA: &str = "1";
+const DISTANCES_M: [&str; 2] = ["1", "inf"];
+
+/// Ours takes so little time that one measurement would be of the clock.
+const OUR_REPEATS: &str = "20";
+
+/// How many times less CPU time ours must take, and how near the values must be, relatively.
+const LEAST_RATIO: f64 = 500.0;
+const CLOSE: f64 = 1e-4;
+
+#[derive(Deserialize)]
+struct Answer {
+    cpu_s: f64,
+    worst_px: Vec<Option<f64>>,
+}
+
+/// Measures both. Exit codes: 0 good, 1 too slow or different, 2 nothing was measured.
+pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
+    let problem = arguments.option::<PathBuf>("--problem")?.unwrap_or_else(|| PathBuf::from(PROBLEM));
+    arguments.finish()?;
+    if !problem.is_file() {
+        bail!("{} is not there", problem.display());
+    }
+    let build = ["build", "--release", "--package", "boresight-tests", "--example", "uncertainty_map"];
+    run_process(cargo().args(build)).context("building the program")?;
+    let ours = target().join("release/examples/uncertainty_map");
+    let mut is_good = true;
+    println!(
+        "| 60x40 map, camera {CAMERA} of {} | Boresight CPU ms | mrcal CPU ms | times | largest difference |",
+        problem.display()
+    );
+    println!("| --- | --- | --- | --- | --- |");
+    for distance in DISTANCES_M {
+        let here = answer(&mut *command(&ours).arg(&problem).args([CAMERA, distance, OUR_REPEATS]))?;
+        let mut python = command("/usr/bin/python3");
+        let there =
+            answer(python.arg("tools/bench/mrcal_uncertainty.py").arg(&problem).args([CAMERA, distance]))?;
+        let pairs = here.worst_px.iter().zip(&there.worst_px);
+        let mut largest: f64 = 0.0;
+        for pair in pairs {
+            let (Some(here), Some(there)) = pair else { bail!("a point of the map has no value") };
+            largest = largest.max((here / there - 1.0).abs());
+        }
+        let ratio = there.cpu_s / here.cpu_s;
+        println!(
+            "| at {distance} m | {:.3} | {:.1} | {ratio:.0} | {largest:.1e} |",
+            1e3 * here.cpu_s,
+            1e3 * there.cpu_s
+        );
+        is_good &= ratio >= LEAST_RATIO && largest <= CLOSE && here.worst_px.len() == there.worst_px.len();
+    }
+    Ok(if is_good { ExitCode::SUCCESS } else { ExitCode::from(1) })
+}
+
+fn answer(command: &mut std::process::Command) -> anyhow::Result<Answer> {
+    let text = output(command)?;
+    let line = text.lines().rfind(|line| line.starts_with('{')).context("no line of JSON was printed")?;
+    Ok(serde_json::from_str(line)?)
+}
