@@ -17,10 +17,6 @@ use crate::failure::Failure;
 /// What can be done for a robot.
 #[derive(Debug, Subcommand)]
 pub(crate) enum RobotCommand {
-    /// Calibrate where cameras and target sit on a robot, with the lenses, in one adjustment
-    HandEye(hand_eye::HandEyeArguments),
-    /// Try all conventions of a table of robot poses on the data, and rank them
-    Poses(poses::PosesArguments),
     /// Find all poses of an object from three or more of its points in one image (Eqs 8.15, 8.16)
     Locate(locate::LocateArguments),
     /// Relate the image to the robot's plane by touched points (Eqs 8.23 to 8.27)
