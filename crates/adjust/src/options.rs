@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use boresight_data::{CameraId, FrameId};
+use boresight_data::{CameraId, FrameId, TargetId};
 use boresight_solver::Checkpointing;
 pub use boresight_solver::{Observer, Progress};
 
@@ -99,6 +99,8 @@ pub enum Hold {
     CamFromRig(CameraId),
     /// Where the target stood in a frame, such as a surveyed board.
     RigFromTarget(FrameId),
+    /// Where a target stands relative to the first.
+    FirstFromTarget(TargetId),
     /// The shapes of all targets.
     Shapes,
 }

@@ -177,6 +177,11 @@ impl RigProblem {
                         self.parameters.hold_all(block);
                     }
                 }
+                Hold::FirstFromTarget(target) => {
+                    if let Some(block) = self.targets[target].first_from_target {
+                        self.parameters.hold_all(block);
+                    }
+                }
                 Hold::Shapes => {
                     for shape in self.targets.iter().filter_map(|blocks| blocks.shape) {
                         self.parameters.hold_all(shape);

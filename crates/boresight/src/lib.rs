@@ -17,17 +17,22 @@
 
 mod calibrate;
 mod choices;
+mod cross_validation;
 mod error;
 mod explain;
+mod held_out;
 mod options;
 mod results;
 mod select;
+mod uncertainty;
+mod verify;
 
 pub use boresight_adjust::{Observer, Progress};
 pub use boresight_camera::{Camera, Model};
 pub use boresight_data::{
-    Calibration, CameraFit, CameraInfo, Dataset, Finding, Frame, Geometry, Id, Observation, Provenance,
-    Rejection, RejectionReason, Rig, RigCamera, Scene, Severity, Shape, Target, View,
+    Calibration, CameraFit, CameraId, CameraInfo, Dataset, Finding, Frame, Geometry, HeldOut, Id,
+    Observation, Provenance, Rejection, RejectionReason, Rig, RigCamera, Scene, Severity, Shape, Target,
+    View,
 };
 pub use boresight_geometry::{Pose, Vector3};
 pub use boresight_io::{
@@ -35,14 +40,22 @@ pub use boresight_io::{
     calibration_to_json, export, load_job, matrices_to_json, matrices_to_npy, matrices_to_text, parse_target,
     read_calibration, read_cameras, write_files,
 };
-pub use boresight_validate::{CompareOptions, ComparedCamera, RigComparison, Verdict, compare_rigs, verdict};
+pub use boresight_validate::{
+    AtDistance, CompareOptions, ComparedCamera, Method, ProjectionUncertainty, Propagation, RigComparison,
+    Spread, StereoUncertainty, UncertaintyMap, Verdict, compare_known_rigs, compare_rigs, stereo_uncertainty,
+    verdict,
+};
 
 pub use calibrate::{Outcome, Watch, calibrate};
-pub use choices::{BadChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
+pub use choices::{BadChoice, HoldoutChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
+pub use cross_validation::{compared, cross_validate};
 pub use error::{Error, ErrorKind};
 pub use explain::{codes, explain};
+pub use held_out::held_out;
 pub use options::CalibrateOptions;
 pub use results::{RESULT_FILES, result_files, sigma_of, write_results};
+pub use uncertainty::{CameraUncertainty, UncertaintyOptions, UncertaintyReport, uncertainty};
+pub use verify::{CameraVerification, Verification, verify};
 
 /// The version of Boresight, as provenance states it.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");

@@ -20,6 +20,9 @@ mod project;
 mod streams;
 mod summary;
 mod table;
+mod uncertainty;
+mod validate;
+mod verify;
 
 use std::process::ExitCode;
 
@@ -43,6 +46,9 @@ fn run(command: Command) -> Result<ExitCode, Failure> {
         Command::Info(arguments) => info::run(&arguments),
         Command::Matrix(arguments) => matrix::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
+        Command::Uncertainty(arguments) => uncertainty::run(&arguments),
+        Command::Validate(arguments) => validate::run(&arguments),
+        Command::Verify(arguments) => verify::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Project(arguments) => project::project(&arguments),
         Command::Unproject(arguments) => project::unproject(&arguments),

@@ -16,6 +16,7 @@ mod kernel;
 mod left_out;
 mod lens_fit;
 mod linear;
+mod place;
 mod profile;
 mod radial;
 mod resection;
@@ -30,6 +31,7 @@ use boresight_camera::Model;
 use boresight_data::{CameraId, Dataset, Id as _, Scene};
 
 pub use left_out::LeftOut;
+pub use place::place;
 
 use crate::intrinsics::{CameraSeed, seed_camera};
 use crate::sighting::Sighting;
