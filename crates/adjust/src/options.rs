@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use boresight_data::{CameraId, FrameId};
+use boresight_data::{CameraId, FrameId, TargetId};
 use boresight_solver::Checkpointing;
 pub use boresight_solver::{Observer, Progress};
 
@@ -119,6 +119,8 @@ pub enum Hold {
     /// The height, along z of the robot's base, of what stands in the base: the target's, or a fixed rig's.
     /// A robot that turns about that axis only cannot tell it.
     BaseHeight,
+    /// Where a target stands relative to the first.
+    FirstFromTarget(TargetId),
     /// The shapes of all targets.
     Shapes,
 }

@@ -226,6 +226,11 @@ impl RigProblem {
                     }
                 }
                 Hold::BaseHeight => self.robot.hold_height(&self.parameters),
+                Hold::FirstFromTarget(target) => {
+                    if let Some(block) = self.targets[target].first_from_target {
+                        self.parameters.hold_all(block);
+                    }
+                }
                 Hold::Shapes => {
                     for shape in self.targets.iter().filter_map(|blocks| blocks.shape) {
                         self.parameters.hold_all(shape);

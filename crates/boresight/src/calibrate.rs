@@ -13,6 +13,7 @@ use boresight_validate::{Verdict, verdict};
 use crate::VERSION;
 use crate::choices::ShapeChoice;
 use crate::error::Error;
+use crate::held_out::held_out;
 use crate::options::CalibrateOptions;
 use crate::select::select_cameras;
 
@@ -60,6 +61,11 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
     adjust_options.cancel = watch.cancel.clone();
     let mut calibration = adjust(&dataset, &seed.scene, &adjust_options, watch.observer.clone())?;
     say_why(&mut calibration, &dataset, &seed.left_out);
+    if calibration.solve.converged && calibration.uncertainty.unavailable.is_none() {
+        calibration.held_out = with_threads(options.jobs, || {
+            held_out(&dataset, &calibration, &adjust_options, options.holdout)
+        })?;
+    }
     calibration.provenance = Provenance {
         version: VERSION.to_owned(),
         inputs: job.inputs.iter().cloned().collect(),
@@ -80,6 +86,15 @@ pub(crate) fn known_lenses(job: &Job, dataset: &Dataset) -> Vec<(CameraId, Camer
         Some((id, lens.clone()))
     });
     known.collect()
+}
+
+/// Does parallel work on so many threads; 0 is one for each core.
+fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+    match rayon::ThreadPoolBuilder::new().num_threads(threads).build() {
+        Ok(pool) => pool.install(work),
+        // Where no threads can be had, the caller's own will do; the result is the same.
+        Err(_) => work(),
+    }
 }
 
 /// Replaces what the adjustment knows of views that were left out by the seed's own reasons.

@@ -130,6 +130,44 @@ pub enum RejectChoice {
     },
 }
 
+/// Into how many parts the frames are cut that are left out in turn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum HoldoutChoice {
+    /// Nothing is left out; there is no held-out error.
+    Off,
+    /// Each frame alone where there are no more than 20, else five parts.
+    #[default]
+    Auto,
+    /// So many parts; each frame alone where there are no more frames.
+    Folds(usize),
+}
+
+impl FromStr for HoldoutChoice {
+    type Err = BadChoice;
+
+    fn from_str(text: &str) -> Result<Self, BadChoice> {
+        match text {
+            "off" => Ok(Self::Off),
+            "auto" => Ok(Self::Auto),
+            _ => {
+                let takes = "off, auto, or a number of parts of at least 2 such as 5";
+                let folds = text.parse().ok().filter(|folds| *folds >= 2);
+                folds.map(Self::Folds).ok_or_else(|| BadChoice { value: text.to_owned(), takes })
+            }
+        }
+    }
+}
+
+impl fmt::Display for HoldoutChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Off => f.pad("off"),
+            Self::Auto => f.pad("auto"),
+            Self::Folds(folds) => f.pad(&folds.to_string()),
+        }
+    }
+}
+
 impl Default for RejectChoice {
     fn default() -> Self {
         Self::Beyond { sigmas: 4.0 }
@@ -177,7 +215,8 @@ mod tests {
     fn refuses<T: FromStr<Err = BadChoice>>(texts: &[&str]) {
         for text in texts {
             let Err(error) = text.parse::<T>() else { panic!("{text}") };
-            assert!(error.to_string().starts_with(&format!("`{text}` is not one of: none")), "{error}");
+            let first = ["none", "off"].map(|word| format!("`{text}` is not one of: {word}"));
+            assert!(first.iter().any(|first| error.to_string().starts_with(first)), "{error}");
         }
     }
 
@@ -187,6 +226,7 @@ mod tests {
         survives::<RegularizationChoice>(&["none", "default", "mrcal-2.2"]);
         survives::<LossChoice>(&["none", "cauchy:1.5", "cauchy:2"]);
         survives::<RejectChoice>(&["none", "4", "3.5"]);
+        survives::<HoldoutChoice>(&["off", "auto", "5"]);
         assert_eq!(RejectChoice::default().to_string(), "4");
     }
 
@@ -195,6 +235,7 @@ mod tests {
         refuses::<ShapeChoice>(&["", "3", "two"]);
         refuses::<RegularizationChoice>(&["mrcal", "mrcal-2.3"]);
         refuses::<LossChoice>(&["cauchy", "cauchy:", "cauchy:0", "cauchy:-1", "cauchy:nan", "huber:1"]);
+        refuses::<HoldoutChoice>(&["", "1", "0", "-2", "2.5", "none"]);
         refuses::<RejectChoice>(&["0", "-4", "nan", "inf", "1.5", "four"]);
     }
 }

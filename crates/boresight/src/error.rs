@@ -38,6 +38,12 @@ pub enum Error {
         /// The cameras there are.
         known: Vec<String>,
     },
+    /// The target's pose could be found in no frame.
+    #[error("the target's pose could be found in none of the {views} views")]
+    NothingPlaced {
+        /// The number of views.
+        views: usize,
+    },
     /// No start could be found.
     #[error("{0}")]
     Seed(#[from] boresight_seed::Error),
@@ -91,7 +97,9 @@ impl Error {
             Error::Compare(
                 boresight_validate::Error::NotPositive { .. } | boresight_validate::Error::Columns { .. },
             ) => ErrorKind::Usage,
-            Error::Seed(_) | Error::Compare(_) | Error::Camera(_) => ErrorKind::Input,
+            Error::NothingPlaced { .. } | Error::Seed(_) | Error::Compare(_) | Error::Camera(_) => {
+                ErrorKind::Input
+            }
             Error::Adjust(
                 boresight_adjust::Error::TooFewEquations { .. } | boresight_adjust::Error::BadSigma { .. },
             ) => ErrorKind::Input,
@@ -117,7 +125,7 @@ impl Error {
                 "`boresight robot poses` tries all readings of the poses; are they turned about different axes?",
             ),
             Error::Options { .. } => {
-                text("[options] takes model, shape, regularization, loss, reject, cameras and jobs")
+                text("[options] takes model, shape, regularization, loss, reject, holdout, cameras and jobs")
             }
             Error::Seed(boresight_seed::Error::TooFewViews { need, .. }) => Some(format!(
                 "show the target to the camera in at least {need} poses, tilted in different directions; 10 or more are better"

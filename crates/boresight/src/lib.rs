@@ -17,9 +17,11 @@
 
 mod calibrate;
 mod choices;
+mod cross_validation;
 mod error;
 mod explain;
 mod hand_eye;
+mod held_out;
 mod known_rig;
 mod locate;
 mod options;
@@ -29,6 +31,8 @@ mod robot_plane;
 mod robot_texts;
 mod select;
 mod stereo;
+mod uncertainty;
+mod verify;
 
 pub use boresight_adjust::{
     Heights, ObjectPose, Observer, Progress, RobotNoise, TipKnowledge, Touch, TouchLens, TouchOptions,
@@ -36,9 +40,9 @@ pub use boresight_adjust::{
 };
 pub use boresight_camera::{Camera, Model};
 pub use boresight_data::{
-    Calibration, CameraFit, CameraInfo, Dataset, Finding, Frame, Geometry, Id, Mounting, Observation,
-    PlaneModel, PoseConvention, Provenance, Rejection, RejectionReason, Rig, RigCamera, RobotPlane, Scene,
-    Severity, Shape, Target, View,
+    Calibration, CameraFit, CameraId, CameraInfo, Dataset, Finding, Frame, Geometry, HeldOut, Id, Mounting,
+    Observation, PlaneModel, PoseConvention, Provenance, Rejection, RejectionReason, Rig, RigCamera,
+    RobotPlane, Scene, Severity, Shape, Target, View,
 };
 pub use boresight_geometry::{Pose, Vector3};
 pub use boresight_io::{
@@ -48,20 +52,28 @@ pub use boresight_io::{
     parse_target, plane_to_json, read_calibration, read_cameras, read_plane, read_robot_job,
     write_atomically, write_files,
 };
-pub use boresight_validate::{CompareOptions, ComparedCamera, RigComparison, Verdict, compare_rigs, verdict};
+pub use boresight_validate::{
+    AtDistance, CompareOptions, ComparedCamera, Method, ProjectionUncertainty, Propagation, RigComparison,
+    Spread, StereoUncertainty, UncertaintyMap, Verdict, compare_known_rigs, compare_rigs, stereo_uncertainty,
+    verdict,
+};
 
 pub use calibrate::{Outcome, Watch, calibrate};
-pub use choices::{BadChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
+pub use choices::{BadChoice, HoldoutChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
+pub use cross_validation::{compared, cross_validate};
 pub use error::{Error, ErrorKind};
 pub use explain::{codes, explain};
 pub use hand_eye::{
     Figures, HAND_EYE_SCHEMA, HandEyeDocument, HandEyeOptions, HandEyeOutcome, MethodFigures, NoiseChoice,
     PoseReadings, SigmaSource, WorkingPoint, check_motions, describe_reading, hand_eye, read_poses,
 };
+pub use held_out::held_out;
 pub use known_rig::KnownRig;
 pub use locate::{Candidate, LocatePoint, Located, locate};
 pub use options::CalibrateOptions;
 pub use results::{RESULT_FILES, result_files, sigma_of, write_results};
+pub use uncertainty::{CameraUncertainty, UncertaintyOptions, UncertaintyReport, uncertainty};
+pub use verify::{CameraVerification, Verification, verify};
 
 pub use boresight_seed::triangle_from_sides;
 pub use robot_error::RobotError;

@@ -11,7 +11,7 @@ use boresight_io::{Job, Place};
 use serde::de::{Deserializer, Error as _, Visitor};
 use serde::{Deserialize, Serialize, Serializer};
 
-use crate::choices::{LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
+use crate::choices::{HoldoutChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
 use crate::error::Error;
 
 /// How a calibration is made. Flags come before the job file, and that before these defaults.
@@ -33,6 +33,10 @@ pub struct CalibrateOptions {
     /// Beyond how many sigmas a corner is rejected, or `none`; 4 unless told otherwise.
     #[serde(with = "as_text")]
     pub reject: RejectChoice,
+    /// Into how many parts the frames are cut that are left out in turn, for the held-out error:
+    /// `off`, `auto` or a number; `auto` unless told otherwise.
+    #[serde(with = "as_text")]
+    pub holdout: HoldoutChoice,
     /// The names of the cameras to calibrate; empty takes all.
     pub cameras: Vec<String>,
     /// The number of threads; 0 takes one for each core. The result does not depend on it.
@@ -47,6 +51,7 @@ impl Default for CalibrateOptions {
             regularization: RegularizationChoice::default(),
             loss: LossChoice::default(),
             reject: RejectChoice::default(),
+            holdout: HoldoutChoice::default(),
             cameras: Vec::new(),
             jobs: 0,
         }
@@ -70,6 +75,7 @@ impl CalibrateOptions {
             ("regularization".to_owned(), self.regularization.to_string()),
             ("loss".to_owned(), self.loss.to_string()),
             ("reject".to_owned(), self.reject.to_string()),
+            ("holdout".to_owned(), self.holdout.to_string()),
         ]);
         if !self.cameras.is_empty() {
             stated.insert("cameras".to_owned(), self.cameras.join(","));
@@ -78,7 +84,7 @@ impl CalibrateOptions {
     }
 
     /// Returns what these options ask of an adjustment of `dataset`.
-    pub(crate) fn adjust_options(&self, dataset: &Dataset) -> AdjustOptions {
+    pub fn adjust_options(&self, dataset: &Dataset) -> AdjustOptions {
         AdjustOptions {
             loss: match self.loss {
                 LossChoice::None => Loss::None,

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use boresight::{LossChoice, Model, RegularizationChoice, RejectChoice, ShapeChoice, Target};
+use boresight::{HoldoutChoice, LossChoice, Model, RegularizationChoice, RejectChoice, ShapeChoice, Target};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::inputs::ImageSize;
@@ -30,6 +30,12 @@ pub(crate) enum Command {
     Matrix(MatrixArguments),
     /// Tell how far two calibrations differ, in pixels over the image and between cameras
     Compare(CompareArguments),
+    /// Tell how well a calibration's pixels, rays and distances are known
+    Uncertainty(UncertaintyArguments),
+    /// Calibrate odd and even frames apart, and tell whether they differ by more than noise explains
+    Validate(ValidateArguments),
+    /// Judge a calibration on other data, without estimating lenses or rig anew
+    Verify(VerifyArguments),
     /// Write a calibration in the format of another program
     Export(ExportArguments),
     /// Project points (x y z in metres, one per line of stdin) to pixels (u v)
@@ -91,6 +97,9 @@ pub(crate) struct CalibrateArguments {
     /// Reject corners beyond this many sigmas, or none [default: 4]
     #[arg(long, value_name = "SIGMAS|none")]
     pub reject: Option<RejectChoice>,
+    /// Parts into which the frames are cut and left out in turn, to test predictions: off, auto or a number [default: auto]
+    #[arg(long, value_name = "K")]
+    pub holdout: Option<HoldoutChoice>,
     /// Calibrate these cameras only
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     pub cameras: Vec<String>,
@@ -174,4 +183,90 @@ pub(crate) enum PointFrame {
     Camera,
     /// The rig's: that of its reference camera
     Rig,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct UncertaintyArguments {
+    /// A calibration.json, or the folder it is in
+    pub result: PathBuf,
+    /// Of these cameras only
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
+    pub camera: Vec<String>,
+    /// At these distances in metres; inf is infinity [default: 0.5,1,3,10,inf]
+    #[arg(long, value_name = "D,...", value_delimiter = ',')]
+    pub distance_m: Vec<f64>,
+    /// Grid points across and down the image
+    #[arg(long, value_name = "CxR", default_value = "60x40")]
+    pub grid: GridSize,
+    /// How a motion of all targets is taken out
+    #[arg(long, value_enum, default_value_t = UncertaintyMethod::CrossReprojection)]
+    pub method: UncertaintyMethod,
+    /// Pass on the noise of observations only, as mrcal does, and take the regularisation for granted
+    #[arg(long)]
+    pub observations_only: bool,
+    /// How to print; json has the maps
+    #[arg(long, value_enum, default_value_t = AnswerFormat::Text)]
+    pub format: AnswerFormat,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum UncertaintyMethod {
+    /// The motion that explains best how the camera's own corners move
+    CrossReprojection,
+    /// The mean motion of all frames
+    MeanFrame,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum AnswerFormat {
+    Text,
+    Json,
+}
+
+/// Grid points across and down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct GridSize(pub [usize; 2]);
+
+impl std::str::FromStr for GridSize {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let sides: Vec<Option<usize>> = text.split('x').map(|side| side.parse().ok()).collect();
+        match sides[..] {
+            [Some(columns), Some(rows)] => Ok(Self([columns, rows])),
+            _ => Err("write columns x rows, such as 60x40".to_owned()),
+        }
+    }
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct VerifyArguments {
+    /// A calibration.json, or the folder it is in
+    pub result: PathBuf,
+    #[command(flatten)]
+    pub input: InputArguments,
+    /// Exit with 1 if the error per degree of freedom is above so many times that of the calibration
+    #[arg(long, value_name = "TIMES", default_value_t = 1.5)]
+    pub limit_ratio: f64,
+    /// How to print
+    #[arg(long, value_enum, default_value_t = AnswerFormat::Text)]
+    pub format: AnswerFormat,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct ValidateArguments {
+    #[command(flatten)]
+    pub input: InputArguments,
+    /// The lens model, if not that of the job file
+    #[arg(long, value_name = "NAME")]
+    pub model: Option<Model>,
+    /// Compare points at this distance in metres, after a pose fitted there; else at infinity
+    #[arg(long, value_name = "D")]
+    pub distance_m: Option<f64>,
+    /// Exit with 1 if any camera's halves differ by more than so many times what noise explains
+    #[arg(long, value_name = "TIMES", default_value_t = 3.0)]
+    pub limit_ratio: f64,
+    /// How to print; json has the difference at each grid point
+    #[arg(long, value_enum, default_value_t = AnswerFormat::Text)]
+    pub format: AnswerFormat,
 }

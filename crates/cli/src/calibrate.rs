@@ -64,6 +64,7 @@ fn layered(job: &Job, arguments: &CalibrateArguments) -> Result<CalibrateOptions
         regularization: arguments.regularization.unwrap_or(stated.regularization),
         loss: arguments.loss.unwrap_or(stated.loss),
         reject: arguments.reject.unwrap_or(stated.reject),
+        holdout: arguments.holdout.unwrap_or(stated.holdout),
         cameras: if arguments.cameras.is_empty() { stated.cameras } else { arguments.cameras.clone() },
         jobs: arguments.jobs.unwrap_or(stated.jobs),
     })

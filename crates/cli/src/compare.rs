@@ -3,7 +3,10 @@
 use std::path::Path;
 use std::process::ExitCode;
 
-use boresight::{CompareOptions, ComparedCamera, NamedCamera, RigComparison, compare_rigs, read_cameras};
+use boresight::{
+    Calibration, CompareOptions, ComparedCamera, NamedCamera, RigComparison, compare_known_rigs,
+    read_calibration, read_cameras,
+};
 use serde::Serialize;
 
 use crate::arguments::CompareArguments;
@@ -23,7 +26,10 @@ pub(crate) fn run(arguments: &CompareArguments) -> Result<ExitCode, Failure> {
     let (a, b) = (read_any(&arguments.a)?, read_any(&arguments.b)?);
     let (a, b) = made_comparable(a, b);
     let options = CompareOptions { distance_m: arguments.distance_m, ..CompareOptions::default() };
-    let comparison = compare_rigs(&a, &b, &options).map_err(boresight::Error::from)?;
+    let [known_a, known_b] = [&arguments.a, &arguments.b].map(|path| native(path));
+    let uncertainties =
+        [&known_a, &known_b].map(|known| known.as_ref().map(|calibration| &calibration.uncertainty));
+    let comparison = compare_known_rigs(&a, &b, uncertainties, &options).map_err(boresight::Error::from)?;
     let limit = arguments.limit_px;
     let largest = comparison.cameras.iter().map(|camera| camera.comparison.rms_px).fold(0.0, f64::max);
     let is_within = limit.is_none_or(|limit| largest <= limit);
@@ -61,6 +67,13 @@ struct Document<'a> {
     is_within: bool,
     #[serde(flatten)]
     comparison: &'a RigComparison,
+}
+
+/// Returns the calibration with its covariance, where the file is one of ours.
+fn native(path: &Path) -> Option<Calibration> {
+    let is_ours = path.is_dir() || path.extension().is_some_and(|extension| extension == "json");
+    // The cameras have been read already, so what is wrong with the file has been said.
+    is_ours.then(|| read_calibration(path).ok()).flatten().map(|(calibration, _)| calibration)
 }
 
 /// Reads the cameras of a calibration file, of a folder with a `calibration.json`, or of one with `.cameramodel` files.
@@ -136,9 +149,10 @@ fn made_comparable(a: Vec<NamedCamera>, b: Vec<NamedCamera>) -> (Vec<ComparedCam
     (a, b)
 }
 
-fn describe(comparison: &RigComparison) -> String {
+pub(crate) fn describe(comparison: &RigComparison) -> String {
     let mut rows = vec![row([
-        "camera", "RMS px", "p95 px", "max px", "rx deg", "ry deg", "rz deg", "x mm", "y mm", "z mm",
+        "camera", "RMS px", "p95 px", "max px", "noise px", "times", "rx deg", "ry deg", "rz deg", "x mm",
+        "y mm", "z mm",
     ])];
     for camera in &comparison.cameras {
         let difference = &camera.comparison;
@@ -148,6 +162,10 @@ fn describe(comparison: &RigComparison) -> String {
             format!("{} / {}", camera.name, camera.name_in_b)
         }];
         cells.extend([difference.rms_px, difference.p95_px, difference.max_px].map(|px| format!("{px:.4}")));
+        cells.extend(match camera.significance {
+            Some(found) => [format!("{:.4}", found.predicted_rms_px), format!("{:.2}", found.ratio)],
+            None => ["-"; 2].map(str::to_owned),
+        });
         cells.extend(difference.rotation_rad.map(|radians| format!("{:.4}", radians.to_degrees() + 0.0)));
         cells.extend(match difference.distance_m {
             Some(_) => difference.translation_m.map(|metres| format!("{:.3}", 1e3 * metres)),
@@ -160,7 +178,8 @@ fn describe(comparison: &RigComparison) -> String {
     let mut text = aligned(&rows);
     text.push_str(&format!(
         "difference of the pixels that see the same point {place}, over the image, after the implied transform\n\
-         (rotation r, translation x y z) of the camera frame\n"
+         (rotation r, translation x y z) of the camera frame;\n\
+         noise: what both covariances predict of RMS; times: how many times that the difference is\n"
     ));
     if !comparison.pairs.is_empty() {
         let head = [
@@ -171,6 +190,10 @@ fn describe(comparison: &RigComparison) -> String {
             "position mm",
             "aligned deg",
             "aligned mm",
+            "times",
+            "transfer px",
+            "times",
+            "transfer mm",
         ];
         let mut rows = vec![row(head)];
         for pair in &comparison.pairs {
@@ -182,11 +205,22 @@ fn describe(comparison: &RigComparison) -> String {
                 &format!("{:.3}", pair.translation_mm),
                 &format!("{:.4}", pair.aligned_rotation_deg),
                 &format!("{:.3}", pair.aligned_translation_mm),
+                &pair.significance.map_or_else(dash, |found| format!("{:.2}", found.ratio)),
+                &pair.transfer.map_or_else(dash, |transfer| format!("{:.4}", transfer.rms_px)),
+                &pair
+                    .transfer
+                    .and_then(|transfer| transfer.significance)
+                    .map_or_else(dash, |found| format!("{:.2}", found.ratio)),
+                &pair
+                    .transfer
+                    .and_then(|transfer| transfer.rms_mm)
+                    .map_or_else(dash, |mm| format!("{mm:.3}")),
             ]));
         }
         text.push('\n');
         text.push_str(&aligned(&rows));
-        text.push_str("aligned: what is left after the implied transforms of both cameras\n");
+        text.push_str("aligned: what is left after the implied transforms of both cameras;\n\
+                       transfer: where the second camera sees what the first sees; times: in units of the noise\n");
     }
     for (names, which) in [(&comparison.only_in_a, "first"), (&comparison.only_in_b, "second")] {
         if !names.is_empty() {
@@ -194,4 +228,8 @@ fn describe(comparison: &RigComparison) -> String {
         }
     }
     text
+}
+
+fn dash() -> String {
+    "-".to_owned()
 }

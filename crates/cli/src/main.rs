@@ -22,6 +22,9 @@ mod stereo;
 mod streams;
 mod summary;
 mod table;
+mod uncertainty;
+mod validate;
+mod verify;
 
 use std::process::ExitCode;
 
@@ -45,6 +48,9 @@ fn run(command: Command) -> Result<ExitCode, Failure> {
         Command::Info(arguments) => info::run(&arguments),
         Command::Matrix(arguments) => matrix::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
+        Command::Uncertainty(arguments) => uncertainty::run(&arguments),
+        Command::Validate(arguments) => validate::run(&arguments),
+        Command::Verify(arguments) => verify::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Project(arguments) => project::project(&arguments),
         Command::Unproject(arguments) => project::unproject(&arguments),

@@ -15,6 +15,14 @@ pub(crate) fn answer(bytes: &[u8]) -> Result<(), Failure> {
     }
 }
 
+/// Writes a document to stdout as JSON.
+pub(crate) fn json(document: &impl serde::Serialize) -> Result<(), Failure> {
+    let mut bytes = serde_json::to_vec_pretty(document)
+        .map_err(|error| Failure::new(Reason::CannotWrite, format!("stdout: cannot be written: {error}")))?;
+    bytes.push(b'\n');
+    answer(&bytes)
+}
+
 /// Writes a line to stderr; nobody is left to hear of it if that fails.
 pub(crate) fn note(line: &str) {
     let _ = writeln!(stderr().lock(), "{line}");

@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 
 use boresight::{
-    Calibration, CameraFit, Dataset, Finding, Geometry, Id as _, RejectionReason, RigCamera, Severity, Shape,
-    Target, Verdict, sigma_of,
+    Calibration, CameraFit, Dataset, Finding, Geometry, HeldOut, Id as _, RejectionReason, RigCamera,
+    Severity, Shape, Target, Verdict, sigma_of,
 };
 
 use crate::figures::{count, significant, to_sigma, with_sigma};
@@ -185,6 +185,24 @@ fn rig(calibration: &Calibration) -> Option<String> {
     (rows.len() > 1).then(|| aligned(&rows) + &note)
 }
 
+/// Returns how well frames are predicted that were left out.
+pub(crate) fn unseen(held_out: &HeldOut) -> String {
+    let HeldOut { folds, frames, rms_px, in_sample_rms_px, ratio, transfer, .. } = held_out;
+    let mut text = format!(
+        "{rms_px:.4} px on frames left out of the solve, {in_sample_rms_px:.4} px on those in it: {ratio:.3} times \
+         (per degree of freedom; {}, {})",
+        count(*frames, "frame"),
+        if folds == frames { "each alone".to_owned() } else { format!("in {folds} parts") },
+    );
+    if let Some(transfer) = transfer {
+        text.push_str(&format!(
+            "\n        {:.4} px and {:.4} mm at the target from one camera's view of such a frame to another's",
+            transfer.rms_px, transfer.rms_mm
+        ));
+    }
+    text
+}
+
 fn solve(calibration: &Calibration) -> String {
     let mut rows = Vec::new();
     for (target, belief) in calibration.targets.iter().zip(&calibration.scene.targets) {
@@ -214,6 +232,9 @@ fn solve(calibration: &Calibration) -> String {
             ),
         },
     ));
+    if let Some(held_out) = &calibration.held_out {
+        rows.push(("unseen", unseen(held_out)));
+    }
     let solve = &calibration.solve;
     rows.push((
         "solve",

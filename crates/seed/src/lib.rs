@@ -18,6 +18,7 @@ mod left_out;
 mod lens_fit;
 mod linear;
 mod local_fit;
+mod place;
 mod profile;
 mod radial;
 mod resection;
@@ -34,6 +35,7 @@ use boresight_camera::{Camera, Model};
 use boresight_data::{CameraId, Dataset, Id as _, Scene};
 
 pub use left_out::LeftOut;
+pub use place::place;
 pub use three_point::{
     ThreePointError, ThreePointPose, ThreePointPoses, backward_project, three_point_poses,
     triangle_from_sides,
