@@ -10,6 +10,7 @@
 
 mod average;
 mod bundle;
+mod convert;
 mod graph;
 mod intrinsics;
 mod kernel;
@@ -31,6 +32,7 @@ use boresight_camera::Model;
 use boresight_camera::kannala_brandt4::KannalaBrandt4;
 use boresight_data::{CameraId, Dataset, Id as _, Scene};
 
+pub use convert::{ConvertError, Converted, ImpliedRotation, convert};
 pub use left_out::LeftOut;
 
 use crate::intrinsics::{CameraSeed, seed_camera};
