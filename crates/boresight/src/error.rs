@@ -47,6 +47,14 @@ pub enum Error {
     /// Two calibrations cannot be compared.
     #[error("{}", with_sources(.0))]
     Compare(#[from] boresight_validate::Error),
+    /// A camera's lens cannot be exchanged for another.
+    #[error("camera {camera}: {source}")]
+    Convert {
+        /// The camera's name.
+        camera: String,
+        /// Why not.
+        source: boresight_seed::ConvertError,
+    },
     /// A camera's parameters are none of its lens model.
     #[error(transparent)]
     Camera(#[from] boresight_camera::Error),
@@ -65,7 +73,7 @@ impl Error {
             Error::Compare(
                 boresight_validate::Error::NotPositive { .. } | boresight_validate::Error::Columns { .. },
             ) => ErrorKind::Usage,
-            Error::Seed(_) | Error::Compare(_) | Error::Camera(_) => ErrorKind::Input,
+            Error::Seed(_) | Error::Compare(_) | Error::Camera(_) | Error::Convert { .. } => ErrorKind::Input,
             Error::Adjust(
                 boresight_adjust::Error::TooFewEquations { .. } | boresight_adjust::Error::BadSigma { .. },
             ) => ErrorKind::Input,

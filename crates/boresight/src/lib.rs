@@ -17,6 +17,7 @@
 
 mod calibrate;
 mod choices;
+mod convert;
 mod error;
 mod explain;
 mod options;
@@ -35,10 +36,12 @@ pub use boresight_io::{
     calibration_to_json, export, load_job, matrices_to_json, matrices_to_npy, matrices_to_text, parse_target,
     read_calibration, read_cameras, write_files,
 };
+pub use boresight_seed::{Converted, ImpliedRotation};
 pub use boresight_validate::{CompareOptions, ComparedCamera, RigComparison, Verdict, compare_rigs, verdict};
 
 pub use calibrate::{Outcome, Watch, calibrate};
 pub use choices::{BadChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
+pub use convert::{ConvertedCamera, convert_lenses};
 pub use error::{Error, ErrorKind};
 pub use explain::{codes, explain};
 pub use options::CalibrateOptions;

@@ -8,6 +8,7 @@
 mod arguments;
 mod calibrate;
 mod compare;
+mod convert;
 mod explain;
 mod export;
 mod failure;
@@ -43,6 +44,7 @@ fn run(command: Command) -> Result<ExitCode, Failure> {
         Command::Info(arguments) => info::run(&arguments),
         Command::Matrix(arguments) => matrix::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
+        Command::Convert(arguments) => convert::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Project(arguments) => project::project(&arguments),
         Command::Unproject(arguments) => project::unproject(&arguments),
