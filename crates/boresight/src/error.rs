@@ -73,6 +73,14 @@ pub enum Error {
         /// The number of poses.
         poses: usize,
     },
+    /// A camera's lens cannot be exchanged for another.
+    #[error("camera {camera}: {source}")]
+    Convert {
+        /// The camera's name.
+        camera: String,
+        /// Why not.
+        source: boresight_seed::ConvertError,
+    },
     /// A camera's parameters are none of its lens model.
     #[error(transparent)]
     Camera(#[from] boresight_camera::Error),
@@ -97,9 +105,11 @@ impl Error {
             Error::Compare(
                 boresight_validate::Error::NotPositive { .. } | boresight_validate::Error::Columns { .. },
             ) => ErrorKind::Usage,
-            Error::NothingPlaced { .. } | Error::Seed(_) | Error::Compare(_) | Error::Camera(_) => {
-                ErrorKind::Input
-            }
+            Error::NothingPlaced { .. }
+            | Error::Seed(_)
+            | Error::Compare(_)
+            | Error::Camera(_)
+            | Error::Convert { .. } => ErrorKind::Input,
             Error::Adjust(
                 boresight_adjust::Error::TooFewEquations { .. } | boresight_adjust::Error::BadSigma { .. },
             ) => ErrorKind::Input,

@@ -17,6 +17,7 @@
 
 mod calibrate;
 mod choices;
+mod convert;
 mod cross_validation;
 mod error;
 mod explain;
@@ -58,8 +59,11 @@ pub use boresight_validate::{
     verdict,
 };
 
+pub use boresight_seed::{Converted, ImpliedRotation};
+pub use boresight_validate::{CompareOptions, ComparedCamera, RigComparison, Verdict, compare_rigs, verdict};
 pub use calibrate::{Outcome, Watch, calibrate};
 pub use choices::{BadChoice, HoldoutChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
+pub use convert::{ConvertedCamera, convert_lenses};
 pub use cross_validation::{compared, cross_validate};
 pub use error::{Error, ErrorKind};
 pub use explain::{codes, explain};

@@ -222,6 +222,19 @@ impl Model {
         self.visit(Support)
     }
 
+    /// Returns the parameters of a lens that sees beyond 90 degrees, if the model can, for the core
+    /// `[fx, fy, cx, cy]`: a start from which any lens is within reach.
+    pub fn wide(&self, core: [f64; 4]) -> Vec<f64> {
+        struct Wide([f64; 4]);
+        impl ModelVisitor for Wide {
+            type Output = Vec<f64>;
+            fn visit<M: CameraModel>(self, model: M) -> Self::Output {
+                model.wide(self.0)
+            }
+        }
+        self.visit(Wide(core))
+    }
+
     /// Returns the parameters of the lens without distortion, for the core `[fx, fy, cx, cy]`.
     pub fn undistorted(&self, core: [f64; 4]) -> Vec<f64> {
         struct Undistorted([f64; 4]);

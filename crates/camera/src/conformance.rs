@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use boresight_geometry::{Dual, Vector3};
 use proptest::prelude::*;
 
-use crate::{Camera, CameraModel, Error, MAX_LOCAL, MAX_PARAMS, Model};
+use crate::{Camera, CameraModel, Error, MAX_LOCAL, MAX_PARAMS, Model, ParamGroup};
 
 /// Makes the conformance tests of one model.
 macro_rules! conformance_tests {
@@ -91,13 +91,16 @@ pub(crate) fn derivatives_match_differences<M: CameraModel>() {
                 close(linear.by_point(axis), difference, 1e-9, params[0] / depth);
             }
         }
-        for i in 4..params.len() {
+        for (i, group) in lens.param_groups().into_iter().enumerate().skip(4) {
+            // A pupil moves by a length, which counts against the distance.
+            let unit = if group == ParamGroup::Pupil { depth } else { 1.0 };
             let moved = |step: f64| {
                 let mut params = params.to_vec();
-                params[i] += step;
+                params[i] += step * unit;
                 lens.project(&params, point).unwrap()
             };
-            close(linear.by_lens(i - 4), difference(moved), 1e-9, params[0]);
+            let difference = difference(moved).map(|d| d / unit);
+            close(linear.by_lens(i - 4), difference, 1e-9, params[0] / unit);
         }
     });
 }
@@ -202,7 +205,7 @@ pub(crate) fn random_points_return<M: CameraModel>() {
 pub(crate) fn monotonic_limit_matches_a_scan<M: CameraModel>() {
     for (lens, mut params) in M::examples() {
         // The radial part alone: whatever breaks the symmetry is set aside.
-        use crate::ParamGroup::{Tangential, ThinPrism, Tilt};
+        use ParamGroup::{Tangential, ThinPrism, Tilt};
         for (param, group) in params.iter_mut().zip(lens.param_groups()) {
             if matches!(group, Tangential | ThinPrism | Tilt) {
                 *param = 0.0;
@@ -232,13 +235,14 @@ pub(crate) fn monotonic_limit_matches_a_scan<M: CameraModel>() {
 pub(crate) fn undistorted_follows_its_core<M: CameraModel>() {
     let core = [1000.0, 1010.0, 800.0, 600.0];
     for (lens, _) in M::examples() {
-        let params = lens.undistorted(core);
-        assert_eq!(params.len(), lens.param_count());
-        assert_eq!(params[..4], core);
-        assert_eq!(lens.project(&params, [0.0, 0.0, 2.0]), Some([800.0, 600.0]));
-        // Near the axis every undistorted lens is a pinhole: what is left is of order 1e-3 cubed.
-        let pixel = lens.project(&params, [2e-3, -2e-3, 2.0]).unwrap();
-        assert!((pixel[0] - 801.0).abs() < 1e-6 && (pixel[1] - 598.99).abs() < 1e-6, "{pixel:?}");
+        assert_eq!(lens.undistorted(core)[..4], core);
+        for params in [lens.undistorted(core), lens.wide(core)] {
+            assert_eq!(params.len(), lens.param_count());
+            assert_eq!(lens.project(&params, [0.0, 0.0, 2.0]), Some([800.0, 600.0]));
+            // Near the axis every undistorted lens is a pinhole: what is left is of order 1e-3 cubed.
+            let pixel = lens.project(&params, [2e-3, -2e-3, 2.0]).unwrap();
+            assert!((pixel[0] - 801.0).abs() < 1e-6 && (pixel[1] - 598.99).abs() < 1e-6, "{pixel:?}");
+        }
     }
 }
 

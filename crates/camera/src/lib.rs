@@ -5,15 +5,22 @@
 //!
 //! Architecture invariant: no lens knows a solver, a file or a dataset.
 
+pub mod cahvor;
 mod camera;
 #[cfg(test)]
 mod conformance;
+pub mod division;
+pub mod double_sphere;
+pub mod eucm;
+pub mod geographic;
 pub mod kannala_brandt4;
+pub mod mei;
 mod model;
 pub mod opencv;
 pub mod pinhole;
 pub mod registry;
 mod roots;
+mod sphere;
 pub mod splined;
 pub mod stereographic;
 pub mod textbook;

@@ -25,8 +25,12 @@ pub enum ParamGroup {
     Tangential,
     /// A thin-prism coefficient.
     ThinPrism,
-    /// A tilt of the sensor, in radians.
+    /// A tilt of the sensor or of the optical axis, in radians.
     Tilt,
+    /// What a sphere model mixes two projections by: `xi`, `alpha`, `beta`.
+    Sphere,
+    /// A coefficient of the entrance pupil's motion, in metres.
+    Pupil,
     /// A coefficient of a spline, which moves a part of the image.
     Spline,
 }
@@ -162,6 +166,12 @@ pub trait CameraModel: Copy + Send + Sync + 'static {
     /// for the core `[fx, fy, cx, cy]`.
     fn undistorted(&self, core: [f64; 4]) -> Vec<f64>;
 
+    /// Returns the parameters of a lens that sees beyond 90 degrees, if the model can, and whose image
+    /// near the axis is that of the core `[fx, fy, cx, cy]`: a start from which any lens is within reach.
+    fn wide(&self, core: [f64; 4]) -> Vec<f64> {
+        self.undistorted(core)
+    }
+
     /// Returns instances with realistic parameters for a 1600x1200 image; the conformance suite runs on each.
     fn examples() -> Vec<(Self, Vec<f64>)>;
 }
@@ -200,6 +210,53 @@ pub(crate) fn linearize_with_duals<M: CameraModel, T: Scalar>(
         }
     }
     Some(pixel)
+}
+
+/// Differentiates a model's projection as [`linearize_with_duals`] does, one lane after the other: for
+/// formulas whose functions have no SIMD instructions, and whose code is long.
+#[inline(always)]
+pub(crate) fn linearize_lane_by_lane<M: CameraModel, T: Scalar>(
+    model: &M,
+    params: &[f64],
+    point_in_cam: [T; 3],
+    d_point: &mut [[T; 3]; 2],
+    d_lens: [&mut [T]; 2],
+) -> Option<[T; 2]> {
+    let [d_lens_u, d_lens_v] = d_lens;
+    let n_lens = d_lens_u.len();
+    let mut pixel = [point_in_cam[0]; 2];
+    for lane in 0..T::LANES {
+        let [x, y, z] = point_in_cam;
+        let one = linearize_one(model, params, [x.lane(lane), y.lane(lane), z.lane(lane)])?;
+        for row in 0..2 {
+            pixel[row] = pixel[row].with_lane(lane, x.like(one.pixel[row]));
+            for (axis, by_axis) in d_point[row].iter_mut().enumerate() {
+                *by_axis = by_axis.with_lane(lane, x.like(one.d_point[row][axis]));
+            }
+        }
+        for i in 0..n_lens {
+            d_lens_u[i] = d_lens_u[i].with_lane(lane, x.like(one.d_lens[0][i]));
+            d_lens_v[i] = d_lens_v[i].with_lane(lane, x.like(one.d_lens[1][i]));
+        }
+    }
+    Some(pixel)
+}
+
+/// A pixel with its derivatives, for one point.
+struct One {
+    pixel: [f64; 2],
+    d_point: [[f64; 3]; 2],
+    d_lens: [[f64; MAX_PARAMS]; 2],
+}
+
+#[inline(never)]
+fn linearize_one<M: CameraModel>(model: &M, params: &[f64], point_in_cam: [f64; 3]) -> Option<One> {
+    let mut one = One { pixel: [0.0; 2], d_point: [[0.0; 3]; 2], d_lens: [[0.0; MAX_PARAMS]; 2] };
+    let n_lens = params.len() - 4;
+    let [u, v] = &mut one.d_lens;
+    let d_lens = [&mut u[..n_lens], &mut v[..n_lens]];
+    one.pixel = linearize_with_duals(model, params, point_in_cam, &mut one.d_point, d_lens)?;
+    Some(one)
 }
 
 /// Returns a variable if `direction` is among the `N` from `first` on, else a constant.

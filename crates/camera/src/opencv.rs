@@ -21,7 +21,9 @@ use boresight_geometry::Scalar;
 use crate::pinhole::{CORE_GROUPS, CORE_NAMES, broadcast_core, image_plane_point};
 use crate::{CameraModel, ParamGroup};
 
-use self::distort::{distort, linearize_distortion};
+pub(crate) use self::distort::distort;
+use self::distort::linearize_distortion;
+pub(crate) use self::unproject::undistort;
 
 /// Names of the distortion parameters.
 const LENS_NAMES: [&str; 14] =
@@ -116,7 +118,7 @@ impl<const N: usize> CameraModel for OpenCv<N> {
         }
         // A millionth of a millipixel: far above rounding, far below what anyone measures.
         let tolerance = 1e-9 / core[0].max(core[1]);
-        let [x, y] = unproject::undistort::<N>(lens, plane, tolerance)?;
+        let [x, y] = undistort::<N>(lens, plane, tolerance)?;
         Some([x, y, 1.0])
     }
 

@@ -36,6 +36,8 @@ pub(crate) enum Command {
     Validate(ValidateArguments),
     /// Judge a calibration on other data, without estimating lenses or rig anew
     Verify(VerifyArguments),
+    /// Fit another lens model to each camera and tell the error in pixels
+    Convert(ConvertArguments),
     /// Write a calibration in the format of another program
     Export(ExportArguments),
     /// Project points (x y z in metres, one per line of stdin) to pixels (u v)
@@ -82,7 +84,8 @@ pub(crate) struct InputArguments {
 pub(crate) struct CalibrateArguments {
     #[command(flatten)]
     pub input: InputArguments,
-    /// The lens model: pinhole, opencv4, opencv5, opencv8, opencv12, opencv14 or kannala-brandt4 [default: opencv5]
+    /// The lens model: pinhole, opencv4, 5, 8, 12 or 14, kannala-brandt4, double-sphere, eucm, mei, division,
+    /// stereographic, cahvor, splined2, splined3 and others [default: opencv5]
     #[arg(long, value_name = "NAME")]
     pub model: Option<Model>,
     /// How the target may depart from flat: none, or 2 coefficients [default: 2]
@@ -151,6 +154,35 @@ pub(crate) struct CompareArguments {
     /// Print one JSON document, the difference at each grid point included
     #[arg(long)]
     pub json: bool,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct ConvertArguments {
+    /// A calibration.json, or the folder it is in
+    pub result: PathBuf,
+    /// The lens model to fit, such as opencv8, double-sphere or splined3:30x20:120deg
+    #[arg(long, value_name = "NAME")]
+    pub model: Model,
+    /// The folder for the calibration.json with the new lenses; made if it does not exist
+    #[arg(short, long, value_name = "DIR")]
+    pub output: Option<PathBuf>,
+    /// Whether a camera may turn a little as its lens changes; its pose turns with it
+    #[arg(long, value_enum, default_value_t = Rotation::Fit)]
+    pub rotation: Rotation,
+    /// Exit with 1 if the largest error of any camera is above this many pixels
+    #[arg(long, value_name = "PX")]
+    pub limit_px: Option<f64>,
+    /// Print one JSON document
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Rotation {
+    /// Fitted, as models differ in how they share it with their centre
+    Fit,
+    /// The camera keeps its orientation
+    Keep,
 }
 
 #[derive(Args, Debug)]

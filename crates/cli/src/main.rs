@@ -8,6 +8,7 @@
 mod arguments;
 mod calibrate;
 mod compare;
+mod convert;
 mod explain;
 mod export;
 mod failure;
@@ -51,6 +52,7 @@ fn run(command: Command) -> Result<ExitCode, Failure> {
         Command::Uncertainty(arguments) => uncertainty::run(&arguments),
         Command::Validate(arguments) => validate::run(&arguments),
         Command::Verify(arguments) => verify::run(&arguments),
+        Command::Convert(arguments) => convert::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Project(arguments) => project::project(&arguments),
         Command::Unproject(arguments) => project::unproject(&arguments),

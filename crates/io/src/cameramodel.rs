@@ -12,15 +12,19 @@ use crate::python_literal::{Literal, read_dict};
 use crate::{Error, Place};
 
 /// mrcal's names of lens models, and ours.
-const MODELS: [(&str, &str); 6] = [
+const MODELS: [(&str, &str); 9] = [
     ("LENSMODEL_PINHOLE", "pinhole"),
     ("LENSMODEL_OPENCV4", "opencv4"),
     ("LENSMODEL_OPENCV5", "opencv5"),
     ("LENSMODEL_OPENCV8", "opencv8"),
     ("LENSMODEL_OPENCV12", "opencv12"),
     ("LENSMODEL_STEREOGRAPHIC", "stereographic"),
+    ("LENSMODEL_LONLAT", "lonlat"),
+    ("LENSMODEL_LATLON", "latlon"),
+    ("LENSMODEL_CAHVOR", "cahvor"),
 ];
-/// What mrcal's names of splined lenses begin with, before the configuration.
+/// What mrcal's names of lenses with a configuration begin with.
+const CAHVORE: &str = "LENSMODEL_CAHVORE";
 const SPLINED: &str = "LENSMODEL_SPLINED_STEREOGRAPHIC";
 const MODEL_KEYS: [&str; 3] = ["lensmodel", "lens_model", "distortion_model"];
 const POSE_KEYS: [&str; 2] = ["rt_cam_ref", "extrinsics"];
@@ -38,6 +42,7 @@ fn their_name(model: &Model) -> Option<String> {
     };
     match model {
         Model::Splined2(lens) => Some(splined(2, lens.knots(), lens.fov_x_deg())),
+        Model::Cahvore(lens) => Some(format!("{CAHVORE}_linearity={}", lens.linearity())),
         Model::Splined3(lens) => Some(splined(3, lens.knots(), lens.fov_x_deg())),
         _ => MODELS.iter().find(|(_, ours)| *ours == model.name()).map(|(theirs, _)| (*theirs).to_owned()),
     }
@@ -45,6 +50,10 @@ fn their_name(model: &Model) -> Option<String> {
 
 /// Returns the lens model of mrcal's name.
 fn our_model(theirs: &str) -> Option<Model> {
+    if let Some(configuration) = theirs.strip_prefix(CAHVORE) {
+        let [linearity] = values_of(configuration, ["linearity"])?;
+        return format!("cahvore:linearity={linearity}").parse().ok();
+    }
     if let Some(configuration) = theirs.strip_prefix(SPLINED) {
         let [order, columns, rows, fov] = values_of(configuration, ["order", "Nx", "Ny", "fov_x_deg"])?;
         return format!("splined{order}:{columns}x{rows}:{fov}deg").parse().ok();
@@ -107,8 +116,14 @@ pub(crate) fn read_cameras(file: &str, bytes: &[u8]) -> Result<Vec<NamedCamera>,
     let name = name.replacen("DISTORTION_", "LENSMODEL_", 1);
     let Some(model) = our_model(&name) else {
         let known: Vec<&str> = MODELS.iter().map(|(theirs, _)| *theirs).collect();
-        let splined = format!("{SPLINED}_order=3_Nx=30_Ny=18_fov_x_deg=120 and the like");
-        return Err(bad(line, "lensmodel", name, format!("these are read: {}, {splined}", known.join(", "))));
+        let configured = format!("{CAHVORE}_linearity=0.37, {SPLINED}_order=3_Nx=30_Ny=18_fov_x_deg=120");
+        let known = known.join(", ");
+        return Err(bad(
+            line,
+            "lensmodel",
+            name,
+            format!("these are read: {known}, {configured} and the like"),
+        ));
     };
     let camera_name = stem_of(file);
     let lens = |line: usize| {
@@ -213,8 +228,8 @@ mod tests {
     fn what_is_wrong_is_said_with_line_and_value() {
         refuses(
             "DISTORTION_OPENCV4",
-            "LENSMODEL_CAHVOR",
-            &["a/c.cameramodel:3", "LENSMODEL_CAHVOR", "LENSMODEL_OPENCV8"],
+            "LENSMODEL_KANNALA",
+            &["a/c.cameramodel:3", "LENSMODEL_KANNALA", "LENSMODEL_OPENCV8"],
         );
         refuses(
             "DISTORTION_OPENCV4",

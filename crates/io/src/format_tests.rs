@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::samples::{calibration, lens, rig};
 
-const LENSES: [(&str, usize); 10] = [
+const LENSES: [(&str, usize); 18] = [
     ("pinhole", 0),
     ("opencv4", 4),
     ("opencv5", 5),
@@ -14,7 +14,15 @@ const LENSES: [(&str, usize); 10] = [
     ("opencv12", 12),
     ("opencv14", 14),
     ("kannala-brandt4", 4),
+    ("double-sphere", 2),
+    ("eucm", 2),
+    ("mei", 5),
+    ("division", 1),
     ("stereographic", 0),
+    ("lonlat", 0),
+    ("latlon", 0),
+    ("cahvor", 5),
+    ("cahvore:linearity=0.37", 8),
     ("splined2:4x3:100deg", 24),
     ("splined3:5x4:120deg", 40),
 ];

@@ -169,7 +169,7 @@ fn narrow_candidates(
         .filter(|[fx, fy, cx, cy]| (0.5..2.0).contains(&(fx / fy)) && cx.abs() < 1.0 && cy.abs() < 1.0);
     let candidate = |[fx, fy, cx, cy]: zhang::Core| {
         let core = [fx * unit_px, fy * unit_px, centre[0] + cx * unit_px, centre[1] + cy * unit_px];
-        let camera = Camera::new(model, model.undistorted(core), image_size).ok()?;
+        let camera = Camera::new(model, model.wide(core), image_size).ok()?;
         Some(Candidate { camera, poses: vec![None; sightings.len()] })
     };
     [centred, free].into_iter().flatten().filter_map(candidate).collect()

@@ -12,7 +12,7 @@ use crate::sighting::Sighting;
 const SAMPLES: usize = 24;
 /// A model that cannot see behind itself is fitted up to this angle only, in radians; beyond, its
 /// image-plane coordinates grow without bound.
-const FORWARD_LIMIT: f64 = 1.36;
+pub(crate) const FORWARD_LIMIT: f64 = 1.36;
 
 /// How freely a parameter may move while a seed is made.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,12 +34,12 @@ pub(crate) enum Freedom {
 pub(crate) fn freedoms(model: Model, image_size: [u32; 2]) -> Vec<Freedom> {
     let extent_px = f64::from(image_size[0].max(image_size[1]));
     let of_group = |group| match group {
-        ParamGroup::Focal => Freedom::Free,
+        ParamGroup::Focal | ParamGroup::Sphere => Freedom::Free,
         ParamGroup::Centre => Freedom::Near(0.2 * extent_px),
         ParamGroup::Radial => Freedom::Near(1.0),
         ParamGroup::Rational => Freedom::Near(0.2),
         ParamGroup::Tangential => Freedom::Near(0.05),
-        ParamGroup::ThinPrism | ParamGroup::Tilt | ParamGroup::Spline => Freedom::Held,
+        ParamGroup::ThinPrism | ParamGroup::Tilt | ParamGroup::Pupil | ParamGroup::Spline => Freedom::Held,
     };
     model.param_groups().into_iter().map(of_group).collect()
 }
@@ -53,7 +53,7 @@ pub(crate) fn camera_from_profile(
 ) -> Option<Camera> {
     let focal_px = profile.at(0.0);
     let core = [focal_px, focal_px, centre[0], centre[1]];
-    let mut camera = Camera::new(model, model.undistorted(core), image_size).ok()?;
+    let mut camera = Camera::new(model, model.wide(core), image_size).ok()?;
     let start = camera.params.clone();
     let samples = profile_samples(&camera, centre, profile);
     let priors = freedoms(model, image_size);

@@ -10,6 +10,7 @@
 
 mod average;
 mod bundle;
+mod convert;
 mod graph;
 pub mod hand_eye;
 mod intrinsics;
@@ -34,6 +35,7 @@ use boresight_camera::kannala_brandt4::KannalaBrandt4;
 use boresight_camera::{Camera, Model};
 use boresight_data::{CameraId, Dataset, Id as _, Scene};
 
+pub use convert::{ConvertError, Converted, ImpliedRotation, convert};
 pub use left_out::LeftOut;
 pub use place::place;
 pub use three_point::{

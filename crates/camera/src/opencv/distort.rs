@@ -4,7 +4,7 @@ use boresight_geometry::Scalar;
 
 /// Returns the distorted point of the image-plane point (`x`, `y`), before any tilt.
 #[inline(always)]
-pub(super) fn distort<T: Scalar, const N: usize>(lens: &[T], x: T, y: T) -> [T; 2] {
+pub(crate) fn distort<T: Scalar, const N: usize>(lens: &[T], x: T, y: T) -> [T; 2] {
     let r2 = x.mul_add(x, y * y);
     let numerator = numerator::<T, N>(lens, r2).mul_add(r2, r2.like(1.0));
     let radial = if N >= 8 { numerator / denominator(lens, r2).mul_add(r2, r2.like(1.0)) } else { numerator };

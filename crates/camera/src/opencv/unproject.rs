@@ -5,7 +5,7 @@ use crate::roots::{evaluate, smallest_positive_root};
 
 /// Returns the image-plane point whose distorted point is `distorted` within `tolerance`, or `None`
 /// if there is none within the range where the radial map grows.
-pub(super) fn undistort<const N: usize>(
+pub(crate) fn undistort<const N: usize>(
     lens: &[f64],
     distorted: [f64; 2],
     tolerance: f64,
