@@ -6,3 +6,4 @@ mod problems;
 mod support;
 #[cfg(test)]
 mod synthetic;
+mod three_point;
