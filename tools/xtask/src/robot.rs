@@ -13,7 +13,7 @@ const COMMAND: &str = "cargo xtask robot";
 pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
     let keep_docs = arguments.flag("--keep-docs");
     arguments.finish()?;
-    let plane = measured("boresight-adjust", &["--lib"], "table_of_nine_touches")?;
+    let plane = measured("boresight-adjust", &["--test", "touch"], "table_of_nine_touches")?;
     let rows: Vec<Vec<String>> = plane
         .lines()
         .filter_map(|line| line.split_once("row: "))
