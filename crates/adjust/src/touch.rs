@@ -643,7 +643,3 @@ impl<'a> Setup<'a> {
 pub(crate) fn contradiction(degrees_of_freedom: usize) -> f64 {
     1.0 + 3.0 / (2.0 * degrees_of_freedom as f64).sqrt()
 }
-
-#[cfg(test)]
-#[path = "touch/tests.rs"]
-mod tests;

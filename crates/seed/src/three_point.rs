@@ -235,7 +235,3 @@ fn triangle_frame(first: Vector3<f64>, second: Vector3<f64>, third: Vector3<f64>
     let z = x.cross(&(second - first)).normalize();
     Matrix3::from_columns(&[x, z.cross(&x), z])
 }
-
-#[cfg(test)]
-#[path = "three_point/tests.rs"]
-mod tests;

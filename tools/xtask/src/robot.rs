@@ -13,7 +13,7 @@ const COMMAND: &str = "cargo xtask robot";
 pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
     let keep_docs = arguments.flag("--keep-docs");
     arguments.finish()?;
-    let plane = measured("boresight-adjust", "table_of_nine_touches")?;
+    let plane = measured("boresight-adjust", &["--test", "touch"], "table_of_nine_touches")?;
     let rows: Vec<Vec<String>> = plane
         .lines()
         .filter_map(|line| line.split_once("row: "))
@@ -21,7 +21,7 @@ pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
         .collect();
     let head =
         ["tilt deg, k1", "similarity", "affine", "homography", "undistorted homography", "pose", "chosen"];
-    let points = measured("boresight-seed", "a_million_poses")?;
+    let points = measured("boresight-seed", &["--test", "runner"], "a_million_poses")?;
     let facts = ["solutions 0 to 4", "error of points", "error of poses", "worst miss of a ray"];
     let listed: Vec<String> = points
         .lines()
@@ -39,8 +39,8 @@ pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
 }
 
 /// Returns what an ignored test prints.
-fn measured(package: &str, test: &str) -> anyhow::Result<String> {
-    let words =
-        ["test", "--release", "--quiet", "--package", package, "--lib", "--", "--ignored", "--nocapture"];
-    output(cargo().args(words).arg(test))
+fn measured(package: &str, binary: &[&str], test: &str) -> anyhow::Result<String> {
+    let mut test_run = cargo();
+    test_run.args(["test", "--release", "--quiet", "--package", package]).args(binary);
+    output(test_run.args(["--", "--ignored", "--nocapture", test]))
 }

@@ -6,3 +6,5 @@ mod problems;
 mod support;
 #[cfg(test)]
 mod synthetic;
+#[cfg(test)]
+mod three_point;

@@ -1,6 +1,19 @@
-use boresight_data::PlaneModel;
+//! Touched planes against known truth.
 
-use super::*;
+#![allow(clippy::unwrap_used, reason = "a test may stop at what it does not expect")]
+
+#[path = "../src/test_numbers.rs"]
+mod test_numbers;
+
+use boresight_adjust::{
+    Heights, TipKnowledge, Touch, TouchError, TouchLens, TouchOptions, plane_position, plane_spread,
+    touched_plane,
+};
+use boresight_camera::Camera;
+use boresight_data::{PlaneModel, RobotPlane};
+use boresight_geometry::nalgebra::DMatrix;
+use boresight_geometry::{Pose, Vector3};
+
 use crate::test_numbers::Normals;
 
 /// A camera half a metre above a robot's plane, tilted, that looks at its middle.
