@@ -17,6 +17,7 @@ mod kernel;
 mod left_out;
 mod lens_fit;
 mod linear;
+pub mod planar_robot;
 mod profile;
 mod radial;
 mod resection;

@@ -9,7 +9,9 @@
 mod lenses;
 mod place;
 mod recipe;
+mod robot;
 mod simulate;
 
 pub use recipe::{Outliers, PlacedCamera, Placement, Recipe};
+pub use robot::{RobotRecipe, add_robot};
 pub use simulate::{Synthetic, simulate};

@@ -8,6 +8,7 @@ mod bench;
 mod datasets;
 mod process;
 mod reference;
+mod robot;
 mod table;
 mod tidy;
 
@@ -43,6 +44,12 @@ const COMMANDS: &[Command] = &[
         usage: "[NAME...] [--keep-docs]",
         about: "calibrates the committed datasets and writes the tables of docs/datasets.md",
         run: datasets::run,
+    },
+    Command {
+        name: "robot",
+        usage: "[--keep-docs]",
+        about: "calibrates the recorded robots and writes the tables of docs/robot.md",
+        run: robot::run,
     },
 ];
 
