@@ -37,6 +37,8 @@ pub use boresight_io::{
     RobotInput, RobotOverrides, calibration_to_json, export, load_job, matrices_to_json, matrices_to_npy,
     matrices_to_text, parse_target, read_calibration, read_cameras, write_files,
 };
+pub use boresight_io::{PlanarMotionRow, read_planar_motions};
+pub use boresight_seed::planar_robot::{PLANAR_NAMES, PlanarError, PlanarMotion, PlanarRobot, planar_robot};
 pub use boresight_validate::{CompareOptions, ComparedCamera, RigComparison, Verdict, compare_rigs, verdict};
 
 pub use calibrate::{Outcome, Watch, calibrate};

@@ -2,6 +2,7 @@
 //! line in each of the two lists here.
 
 mod hand_eye;
+mod planar;
 mod poses;
 
 use std::process::ExitCode;
@@ -15,6 +16,8 @@ use crate::failure::Failure;
 pub(crate) enum RobotCommand {
     /// Calibrate where cameras and target sit on a robot, with the lenses, in one adjustment
     HandEye(hand_eye::HandEyeArguments),
+    /// Calibrate wheels, axle and sensor of a robot that moves in the plane
+    Planar(planar::PlanarArguments),
     /// Try all conventions of a table of robot poses on the data, and rank them
     Poses(poses::PosesArguments),
 }
@@ -23,6 +26,7 @@ pub(crate) enum RobotCommand {
 pub(crate) fn run(command: &RobotCommand) -> Result<ExitCode, Failure> {
     match command {
         RobotCommand::HandEye(arguments) => hand_eye::run(arguments),
+        RobotCommand::Planar(arguments) => planar::run(arguments),
         RobotCommand::Poses(arguments) => poses::run(arguments),
     }
 }

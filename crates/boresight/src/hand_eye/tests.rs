@@ -141,25 +141,82 @@ fn the_wrong_mount_is_told() {
     }
 }
 
+/// Returns a recording of a robot that turns about the base's z only, its lens known, with a camera that looks
+/// down aslant; the truth, and the job.
+fn four_axis_recording() -> (HandEye, Job) {
+    let mut made = simulate(&Recipe { frames: 12, ..Recipe::mono() }, 3);
+    let truth = HandEye {
+        carrier_from_rig: Pose::from_rodrigues(Vector3::new(0.3, 0.1, 0.4), Vector3::new(0.08, -0.05, 0.1)),
+        other_from_target: Pose::from_rodrigues(Vector3::new(3.1, 0.1, 0.0), Vector3::new(0.5, 0.2, 0.03)),
+    };
+    let camera = made.truth.rig.cameras.iter().flatten().next().unwrap().camera.clone();
+    let target = made.dataset.targets.iter().next().unwrap().clone();
+    let points: Vec<boresight_data::PointId> =
+        (0..target.point_count()).map(boresight_data::PointId::from_index).collect();
+    made.dataset.views.clear();
+    for i in 0..12u32 {
+        let phase = f64::from(i);
+        // The flange's z points down.
+        let down = Pose::from_rodrigues(Vector3::x() * std::f64::consts::PI, Vector3::zeros());
+        let turn = Pose::from_rodrigues(Vector3::z() * (0.5 * (1.9 * phase).sin()), Vector3::zeros());
+        let place = Vector3::new(
+            0.45 + 0.1 * phase.cos(),
+            0.25 + 0.1 * (1.3 * phase).sin(),
+            0.85 + 0.05 * phase.sin(),
+        );
+        let base_from_flange = Pose::new(turn.rotation * down.rotation, place);
+        let rig_from_target = truth.rig_from_target(&base_from_flange);
+        let seen = points.iter().filter_map(|&point| {
+            let pixel = camera.project(&(rig_from_target * target.point(point, &[0.0, 0.0])))?;
+            let is_inside =
+                (0..2).all(|axis| pixel[axis] > 0.0 && pixel[axis] < f64::from(camera.image_size[axis]));
+            is_inside.then_some(boresight_data::Observation { point, pixel, sigma_px: 1.0 })
+        });
+        let observations: Vec<_> = seen.collect();
+        let frame = FrameId(i);
+        made.dataset.frames[frame].base_from_flange = Some(base_from_flange);
+        if observations.len() > 20 {
+            let (camera, target) = (boresight_data::CameraId(0), boresight_data::TargetId(0));
+            made.dataset.views.push(boresight_data::View {
+                camera,
+                frame,
+                target,
+                image: None,
+                observations,
+            });
+        }
+    }
+    let mut job = job_of(&made, Some(Mounting::RigOnFlange));
+    let name = job.dataset.cameras.iter().next().unwrap().name.clone();
+    job.known_lenses = vec![(name, camera)];
+    (truth, job)
+}
+
 #[test]
-fn a_four_axis_robot_needs_its_height() {
-    // A camera that looks straight down and turns about the vertical only, at the height of its flange.
-    let mut made = simulate(
-        &Recipe {
-            frames: 16,
-            placement: boresight_synthetic::Placement { tilt_rad: 0.6, ..Recipe::mono().placement },
-            ..Recipe::mono()
-        },
-        3,
+fn a_four_axis_robot_is_calibrated_to_its_height() {
+    let (truth, mut job) = four_axis_recording();
+    assert!(job.dataset.views.len() >= 8, "{} views", job.dataset.views.len());
+    let refused = hand_eye(&job, &options(NoiseChoice::None), &Watch::default());
+    assert!(
+        matches!(&refused, Err(Error::Degenerate(finding)) if finding.code == "robot-one-axis"),
+        "{refused:?}"
     );
-    add_robot(&mut made, &RobotRecipe::on_flange(), 4);
-    let job = job_of(&made, Some(Mounting::RigOnFlange));
-    // The same recording is no four-axis robot's: with axes = 4 nothing is refused, but the fit is bad.
-    let mut four = job.clone();
-    four.robot.as_mut().unwrap().axes = RobotAxes::Four;
-    let found = hand_eye(&four, &options(NoiseChoice::None), &Watch::default()).unwrap();
-    let codes: Vec<&str> = found.outcome.findings.iter().map(|finding| finding.code.as_str()).collect();
-    assert!(codes.contains(&"robot-height-open"), "{codes:?}");
+    job.robot.as_mut().unwrap().axes = RobotAxes::Four;
+    for height_m in [None, Some(0.03)] {
+        job.robot.as_mut().unwrap().height_m = height_m;
+        let found = hand_eye(&job, &options(NoiseChoice::None), &Watch::default()).unwrap();
+        let codes: Vec<&str> = found.outcome.findings.iter().map(|finding| finding.code.as_str()).collect();
+        assert_eq!(codes.contains(&"robot-height-open"), height_m.is_none(), "{codes:?}");
+        let robot = found.outcome.calibration.scene.robot.as_ref().unwrap();
+        let off = robot.carrier_from_rig().translation - truth.carrier_from_rig.translation;
+        let target_off = robot.other_from_target().translation - truth.other_from_target.translation;
+        assert!(off.xy().norm() < 1e-5 && target_off.xy().norm() < 1e-5, "{off} {target_off}");
+        let expected = height_m.unwrap_or(0.0) - 0.03;
+        assert!(
+            (target_off.z - expected).abs() < 1e-5 && (off.z + expected).abs() < 1e-5,
+            "{off} {target_off}"
+        );
+    }
 }
 
 /// Returns the recorded robots beside the project, or none where they are absent.
