@@ -6,9 +6,9 @@
 mod arguments;
 mod bench;
 mod datasets;
+mod hand_eye;
 mod process;
 mod reference;
-mod robot;
 mod table;
 mod tidy;
 
@@ -46,10 +46,10 @@ const COMMANDS: &[Command] = &[
         run: datasets::run,
     },
     Command {
-        name: "robot",
+        name: "hand-eye",
         usage: "[--keep-docs]",
-        about: "calibrates the recorded robots and writes the tables of docs/robot.md",
-        run: robot::run,
+        about: "calibrates the recorded robots and writes the tables of docs/hand-eye.md",
+        run: hand_eye::run,
     },
 ];
 

@@ -1,4 +1,4 @@
-//! `cargo xtask robot`: calibrates the recorded robots and writes the tables of `docs/robot.md`.
+//! `cargo xtask hand-eye`: calibrates the recorded robots and writes the tables of `docs/hand-eye.md`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,8 +11,8 @@ use crate::arguments::Arguments;
 use crate::process::{cargo, command, output, root, run as run_process, shown, target};
 use crate::table::{self, markdown};
 
-const DOCS: &str = "docs/robot.md";
-const COMMAND: &str = "cargo xtask robot";
+const DOCS: &str = "docs/hand-eye.md";
+const COMMAND: &str = "cargo xtask hand-eye";
 /// The jobs; their recordings lie beside the project.
 const JOBS: &str = "tests/recorded";
 const SHARED: &str = "../shared/datasets";
