@@ -355,3 +355,6 @@ fn restore_rejected(calibration: &mut Calibration, first: &Outcome, dataset: &Da
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

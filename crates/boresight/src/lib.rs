@@ -48,19 +48,19 @@ pub use boresight_data::{
 pub use boresight_geometry::{Pose, Vector3};
 pub use boresight_io::{
     Error as IoError, FORMATS, Job, JobOverrides, Kind as IoKind, NamedCamera, OutputFile, PLANE_SCHEMA,
-    PlaneDocument, RobotAxes, RobotInput, RobotJob, RobotOverrides, RobotTable, TouchDocument, TriedDocument,
-    calibration_to_json, export, hash, load_job, matrices_to_json, matrices_to_npy, matrices_to_text,
-    parse_target, plane_to_json, read_calibration, read_cameras, read_plane, read_robot_job,
-    write_atomically, write_files,
+    PlanarMotionRow, PlaneDocument, RobotAxes, RobotInput, RobotJob, RobotOverrides, RobotTable,
+    TouchDocument, TriedDocument, calibration_to_json, export, hash, load_job, matrices_to_json,
+    matrices_to_npy, matrices_to_text, parse_target, plane_to_json, read_calibration, read_cameras,
+    read_planar_motions, read_plane, read_robot_job, write_atomically, write_files,
 };
+pub use boresight_seed::planar_robot::{PLANAR_NAMES, PlanarError, PlanarMotion, PlanarRobot, planar_robot};
 pub use boresight_validate::{
     AtDistance, CompareOptions, ComparedCamera, Method, ProjectionUncertainty, Propagation, RigComparison,
     Spread, StereoUncertainty, UncertaintyMap, Verdict, compare_known_rigs, compare_rigs, stereo_uncertainty,
     verdict,
 };
 
-pub use boresight_seed::{Converted, ImpliedRotation};
-pub use boresight_validate::{CompareOptions, ComparedCamera, RigComparison, Verdict, compare_rigs, verdict};
+pub use boresight_seed::{Converted, ImpliedRotation, triangle_from_sides};
 pub use calibrate::{Outcome, Watch, calibrate};
 pub use choices::{BadChoice, HoldoutChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
 pub use convert::{ConvertedCamera, convert_lenses};
@@ -79,7 +79,6 @@ pub use results::{RESULT_FILES, result_files, sigma_of, write_results};
 pub use uncertainty::{CameraUncertainty, UncertaintyOptions, UncertaintyReport, uncertainty};
 pub use verify::{CameraVerification, Verification, verify};
 
-pub use boresight_seed::triangle_from_sides;
 pub use robot_error::RobotError;
 pub use robot_plane::{
     Chapter, ObjectSeen, PatternOutcome, PatternTouch, PlacedObject, PlaneOutcome, lens_of,

@@ -6,6 +6,7 @@ mod plane;
 mod pose;
 
 mod hand_eye;
+mod planar;
 mod poses;
 
 use std::process::ExitCode;
@@ -25,6 +26,8 @@ pub(crate) enum RobotCommand {
     Pose(pose::PoseArguments),
     /// Calibrate where cameras and target sit on a robot, with the lenses, in one adjustment
     HandEye(hand_eye::HandEyeArguments),
+    /// Calibrate wheels, axle and sensor of a robot that moves in the plane
+    Planar(planar::PlanarArguments),
     /// Try all conventions of a table of robot poses on the data, and rank them
     Poses(poses::PosesArguments),
 }
@@ -36,6 +39,7 @@ pub(crate) fn run(command: &RobotCommand) -> Result<ExitCode, Failure> {
         RobotCommand::Plane(arguments) => plane::run(arguments),
         RobotCommand::Pose(arguments) => pose::run(arguments),
         RobotCommand::HandEye(arguments) => hand_eye::run(arguments),
+        RobotCommand::Planar(arguments) => planar::run(arguments),
         RobotCommand::Poses(arguments) => poses::run(arguments),
     }
 }

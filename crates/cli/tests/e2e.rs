@@ -6,6 +6,8 @@
 mod bad_inputs;
 #[path = "e2e/calibrate.rs"]
 mod calibrate;
+#[path = "e2e/hand_eye.rs"]
+mod hand_eye;
 #[path = "e2e/results.rs"]
 mod results;
 #[path = "e2e/robot.rs"]

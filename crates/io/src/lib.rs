@@ -28,6 +28,7 @@ mod json_text;
 mod number;
 mod observations_parquet;
 mod opencv_yaml;
+mod planar_motions;
 mod pose_table;
 mod python_literal;
 mod robot_input;
@@ -55,6 +56,7 @@ pub use job::{JOB_FILE, Job, JobOverrides, hash, load_job, read_calibration};
 pub use observations_parquet::{
     OBSERVATIONS_SCHEMA, ObservationRow, attach_residuals, observations_to_parquet, read_observations,
 };
+pub use planar_motions::{PlanarMotionRow, read_planar_motions};
 pub use pose_table::{PoseTable, read_pose_table};
 pub use robot_input::{RobotAxes, RobotInput, RobotOverrides};
 pub use robot_job::{RobotJob, read_robot_job};

@@ -20,6 +20,7 @@ mod lens_fit;
 mod linear;
 mod local_fit;
 mod place;
+pub mod planar_robot;
 mod profile;
 mod radial;
 mod resection;

@@ -14,4 +14,6 @@ mod simulate;
 
 pub use recipe::{Outliers, PlacedCamera, Placement, Recipe};
 pub use render::{Depth, Exposure, render};
+mod robot;
+pub use robot::{RobotRecipe, add_robot};
 pub use simulate::{Synthetic, simulate};

@@ -6,6 +6,7 @@
 mod arguments;
 mod bench;
 mod datasets;
+mod hand_eye;
 mod process;
 mod reference;
 mod robot;
@@ -57,6 +58,12 @@ const COMMANDS: &[Command] = &[
         usage: "[--keep-docs]",
         about: "measures the robot side on simulated data and writes the tables of docs/robot.md",
         run: robot::run,
+    },
+    Command {
+        name: "hand-eye",
+        usage: "[--keep-docs]",
+        about: "calibrates the recorded robots and writes the tables of docs/hand-eye.md",
+        run: hand_eye::run,
     },
 ];
 

@@ -12,13 +12,16 @@ use crate::linear::exceeds;
 /// `start` that aligns the two, the rotation is `turn(φ) start` about the axis, and the translation `t`
 /// across it solves `(R - I) t - turn(φ) start t_rig = -t_carrier`, which is linear in `t`, cos φ and sin φ.
 pub(super) fn four_axis(motions: &[Motion]) -> Option<Pose> {
-    let axis_in_carrier = common_axis(motions.iter().map(|motion| motion.carrier.rodrigues()))?;
-    let mut axis_in_rig = common_axis(motions.iter().map(|motion| motion.rig.rodrigues()))?;
+    let axis_in_carrier =
+        common_axis(motions.iter().map(|motion| motion.later_from_earlier_carrier.rodrigues()))?;
+    let mut axis_in_rig =
+        common_axis(motions.iter().map(|motion| motion.later_from_earlier_rig.rodrigues()))?;
     // Both axes have a sign that only the motions themselves can tell.
     let agreement: f64 = motions
         .iter()
         .map(|motion| {
-            motion.carrier.rodrigues().dot(&axis_in_carrier) * motion.rig.rodrigues().dot(&axis_in_rig)
+            motion.later_from_earlier_carrier.rodrigues().dot(&axis_in_carrier)
+                * motion.later_from_earlier_rig.rodrigues().dot(&axis_in_rig)
         })
         .sum();
     if agreement < 0.0 {
@@ -33,8 +36,8 @@ pub(super) fn four_axis(motions: &[Motion]) -> Option<Pose> {
     let second = axis_in_carrier.cross(&first);
     let (mut hessian, mut right) = (SMatrix::<f64, 4, 4>::zeros(), SVector::<f64, 4>::zeros());
     for motion in motions {
-        let by_translation = motion.carrier.rotation_matrix() - Matrix3::identity();
-        let seen = start * motion.rig.translation;
+        let by_translation = motion.later_from_earlier_carrier.rotation_matrix() - Matrix3::identity();
+        let seen = start * motion.later_from_earlier_rig.translation;
         let along = axis_in_carrier * axis_in_carrier.dot(&seen);
         let across = seen - along;
         let mut rows = SMatrix::<f64, 3, 4>::zeros();
@@ -43,7 +46,7 @@ pub(super) fn four_axis(motions: &[Motion]) -> Option<Pose> {
         rows.set_column(2, &-across);
         rows.set_column(3, &-axis_in_carrier.cross(&across));
         hessian += rows.transpose() * rows;
-        right += rows.transpose() * (along - motion.carrier.translation);
+        right += rows.transpose() * (along - motion.later_from_earlier_carrier.translation);
     }
     let eigenvalues = hessian.symmetric_eigenvalues();
     if !exceeds(eigenvalues.min(), 1e-10 * eigenvalues.max()) {

@@ -8,9 +8,9 @@ use super::PosePair;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
     /// The later carrier from the earlier.
-    pub carrier: Pose,
+    pub later_from_earlier_carrier: Pose,
     /// The later rig from the earlier.
-    pub rig: Pose,
+    pub later_from_earlier_rig: Pose,
 }
 
 /// Frames beyond this many are paired with their neighbours up to that distance only.
@@ -22,8 +22,8 @@ pub(super) fn motions(pairs: &[PosePair]) -> Vec<Motion> {
     for (i, earlier) in pairs.iter().enumerate() {
         for later in pairs[i + 1..].iter().take(MAX_PARTNERS) {
             motions.push(Motion {
-                carrier: later.other_from_carrier.inverse() * earlier.other_from_carrier,
-                rig: later.rig_from_target * earlier.rig_from_target.inverse(),
+                later_from_earlier_carrier: later.other_from_carrier.inverse() * earlier.other_from_carrier,
+                later_from_earlier_rig: later.rig_from_target * earlier.rig_from_target.inverse(),
             });
         }
     }

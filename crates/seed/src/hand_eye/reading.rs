@@ -8,8 +8,10 @@ use super::{HandEye, Method, PosePair, hand_eye, pose_pair};
 
 /// The frames are left out in this many turns.
 const FOLDS: usize = 6;
-/// Readings that are tried with other rows as well: the best ones.
-const TRIED_WITH_CHANGES: usize = 3;
+/// A reading is good if it misses the target by less than this share of its distance; wrong rows are then not sought.
+const GOOD_SHARE: f64 = 0.02;
+/// Readings that are tried with a change of tools at every frame: those that fit half of the frames best.
+const TRIED_WITH_TOOLS: usize = 3;
 /// How many times better a reading must be with a change of rows, which has more freedom, to be listed.
 const BETTER_BY_CHANGE: f64 = 2.0;
 /// The least number of frames on either side of a change of tools.
@@ -100,20 +102,43 @@ pub fn readings(
         }
     }
     sort(&mut found);
-    let mut changed = Vec::new();
-    for reading in found.iter().take(TRIED_WITH_CHANGES) {
-        let plain = PoseConvention { direction: PoseDirection::BaseFromFlange, ..reading.convention };
-        let poses: Option<Vec<Pose>> = rows.iter().map(|row| plain.base_from_flange(row)).collect();
-        let Some(poses) = poses else { continue };
-        let mounting = if reading.convention.direction == plain.direction {
-            reading.mounting
-        } else {
-            reading.twin().mounting
-        };
-        let offered = [case.shifted(plain, mounting, &poses, 1), case.shifted(plain, mounting, &poses, -1)];
-        let offered = offered.into_iter().chain([case.with_two_tools(plain, mounting, &poses)]).flatten();
-        changed.extend(offered.filter(|changed| changed.held_out_m * BETTER_BY_CHANGE < reading.held_out_m));
+    let Some(best) = found.first().copied() else { return found };
+    let mut distances: Vec<f64> = rig_from_target.iter().map(|pose| pose.translation.norm()).collect();
+    distances.sort_by(f64::total_cmp);
+    if best.held_out_m < GOOD_SHARE * distances[distances.len() / 2] {
+        return found;
     }
+    // Nothing fits: wrong rows hide the right convention, so all are tried again with either half of the frames,
+    // which a change of tools leaves whole, and with rows that are one off.
+    let literal = |reading: &Reading| {
+        let convention = PoseConvention { direction: PoseDirection::BaseFromFlange, ..reading.convention };
+        let is_twin = reading.convention.direction != PoseDirection::BaseFromFlange;
+        let mounting = if is_twin { reading.twin().mounting } else { reading.mounting };
+        let poses: Vec<Pose> = rows.iter().filter_map(|row| convention.base_from_flange(row)).collect();
+        (convention, mounting, poses)
+    };
+    let mut changed = Vec::new();
+    let mut by_half: Vec<(f64, Reading)> = Vec::new();
+    for reading in &found {
+        let (convention, mounting, poses) = literal(reading);
+        changed.extend([1, -1].into_iter().filter_map(|by| case.shifted(convention, mounting, &poses, by)));
+        let half = poses.len() / 2;
+        let squares = [0..half, half..poses.len()].into_iter().filter_map(|range| {
+            let n = range.len() as f64;
+            let pairs = case.pairs(mounting, &poses, range);
+            (pairs.len() >= LEAST_ON_A_SIDE)
+                .then(|| case.held_out(&pairs, 4))
+                .flatten()
+                .map(|(square, _)| square / n)
+        });
+        by_half.push((squares.fold(f64::INFINITY, f64::min), *reading));
+    }
+    by_half.sort_by(|one, other| one.0.total_cmp(&other.0));
+    for (_, reading) in by_half.iter().take(TRIED_WITH_TOOLS) {
+        let (convention, mounting, poses) = literal(reading);
+        changed.extend(case.with_two_tools(convention, mounting, &poses));
+    }
+    changed.retain(|changed| changed.held_out_m * BETTER_BY_CHANGE < best.held_out_m);
     found.append(&mut changed);
     sort(&mut found);
     found

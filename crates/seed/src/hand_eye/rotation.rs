@@ -18,7 +18,9 @@ pub(super) fn quaternion_of(xyzw: &Vector4<f64>) -> UnitQuaternion<f64> {
 fn turns(motions: &[Motion]) -> impl Iterator<Item = (Vector3<f64>, Vector3<f64>)> + '_ {
     motions
         .iter()
-        .map(|motion| (motion.carrier.rodrigues(), motion.rig.rodrigues()))
+        .map(|motion| {
+            (motion.later_from_earlier_carrier.rodrigues(), motion.later_from_earlier_rig.rodrigues())
+        })
         .filter(|(carrier, rig)| carrier.norm() > LEAST_TURN_RAD && rig.norm() > LEAST_TURN_RAD)
 }
 
@@ -58,7 +60,7 @@ pub(super) fn tsai(motions: &[Motion]) -> Option<UnitQuaternion<f64>> {
             let rotation = pose.rotation;
             2.0 * rotation.imag() * if rotation.w < 0.0 { -1.0 } else { 1.0 }
         };
-        let (carrier, rig) = (sine(&motion.carrier), sine(&motion.rig));
+        let (carrier, rig) = (sine(&motion.later_from_earlier_carrier), sine(&motion.later_from_earlier_rig));
         let rows = skew(&(carrier + rig));
         hessian += rows.transpose() * rows;
         right += rows.transpose() * (rig - carrier);
@@ -80,8 +82,8 @@ pub(super) fn daniilidis(motions: &[Motion]) -> Option<Pose> {
     let mut moments = SMatrix::<f64, 8, 8>::zeros();
     let mut n = 0;
     for motion in motions {
-        let (real_a, dual_a) = dual_quaternion(&motion.carrier);
-        let (real_b, dual_b) = dual_quaternion(&motion.rig);
+        let (real_a, dual_a) = dual_quaternion(&motion.later_from_earlier_carrier);
+        let (real_b, dual_b) = dual_quaternion(&motion.later_from_earlier_rig);
         let (a, b) = (real_a.imag(), real_b.imag());
         if a.norm() < LEAST_TURN_RAD || b.norm() < LEAST_TURN_RAD {
             continue;

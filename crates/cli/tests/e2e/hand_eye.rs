@@ -1,0 +1,87 @@
+//! `boresight robot hand-eye` and `boresight robot poses` on the committed synthetic robots.
+
+use std::fmt::Write as _;
+
+use crate::{boresight, dataset};
+
+fn job(name: &str) -> String {
+    dataset(name)
+}
+
+#[test]
+fn the_synthetic_robots_are_calibrated_to_their_truth() {
+    for (name, pose) in
+        [("robot-hand-eye-on-flange", "flange_from_rig"), ("robot-hand-eye-fixed", "base_from_rig")]
+    {
+        let folder = tempfile::tempdir().unwrap();
+        let run = boresight(folder.path(), &["robot", "hand-eye", &job(name), "--json"]);
+        assert_eq!(run.code, Some(0), "{}", run.stderr);
+        let found: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+        assert_eq!(found["schema"], "boresight.hand-eye/1");
+        let truth = std::fs::read_to_string(dataset(&format!("{name}/truth.json"))).unwrap();
+        let truth: serde_json::Value = serde_json::from_str(&truth).unwrap();
+        let own = found["poses"].as_array().unwrap().iter().find(|one| one["name"] == pose).unwrap();
+        for axis in 0..3 {
+            let error_m = own["translation_m"][axis].as_f64().unwrap()
+                - truth["carrier_from_rig"]["translation_m"][axis].as_f64().unwrap();
+            let sigma_m = own["sigma_rad_m"][3 + axis].as_f64().unwrap_or(3e-4);
+            assert!(error_m.abs() < 4.0 * sigma_m && sigma_m < 1e-3, "{name}: {error_m} {sigma_m}");
+        }
+        let noise = &found["robot_noise"];
+        for (which, sigma) in [("rotation_rad", 4e-4), ("translation_m", 3e-4)] {
+            let ratio = noise[which].as_f64().unwrap() / sigma;
+            assert!((ratio - 1.0).abs() < 0.3, "{name}: {which} {ratio}");
+        }
+        assert!(folder.path().join("out/hand-eye.json").is_file());
+        assert!(folder.path().join("out/calibration.json").is_file());
+    }
+}
+
+/// Writes 24 poses `x y z rx ry rz`, metres and a rotation vector.
+fn poses(pose: impl Fn(f64) -> [f64; 6]) -> String {
+    let mut text = String::new();
+    for i in 0..24 {
+        let numbers = pose(f64::from(i)).map(|number| number.to_string());
+        let _ = writeln!(text, "{}", numbers.join(" "));
+    }
+    text
+}
+
+#[test]
+fn degenerate_motions_are_refused_and_nothing_is_written() {
+    let wave = |i: f64| [0.5 + 0.1 * i.sin(), 0.2 * i.cos(), 0.4 + 0.01 * i];
+    let cases: [(&str, String, &str); 4] = [
+        (
+            "pure translation",
+            poses(|i| [wave(i)[0], wave(i)[1], wave(i)[2], 0.1, 0.2, 0.3]),
+            "robot-no-rotation",
+        ),
+        ("one axis", poses(|i| [wave(i)[0], wave(i)[1], wave(i)[2], 0.0, 0.0, 0.1 * i]), "robot-one-axis"),
+        ("two poses", poses(|i| [0.5, 0.0, 0.4, 0.0, 0.6 * (i % 2.0), 0.0]), "robot-few-poses"),
+        ("identical poses", poses(|_| [0.5, 0.0, 0.4, 0.1, 0.2, 0.3]), "robot-few-poses"),
+    ];
+    for (name, text, code) in cases {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("poses.txt"), text).unwrap();
+        let arguments = ["robot", "hand-eye", &job("robot-hand-eye-on-flange"), "--poses", "poses.txt"];
+        let run = boresight(folder.path(), &[&arguments[..], &["--poses-as", "universal-robots"]].concat());
+        assert_eq!(run.code, Some(4), "{name}: {}", run.stderr);
+        assert!(run.stderr.contains(code) && run.stderr.contains("hint: Add"), "{name}: {}", run.stderr);
+        assert!(run.stdout.is_empty() && !folder.path().join("out").exists(), "{name}");
+    }
+}
+
+#[test]
+fn the_doctor_names_the_convention() {
+    let folder = tempfile::tempdir().unwrap();
+    let fixed = job("robot-hand-eye-fixed");
+    let good = boresight(folder.path(), &["robot", "poses", &fixed]);
+    assert_eq!(good.code, Some(0), "{}", good.stderr);
+    assert!(good.text().lines().nth(1).unwrap().contains("(stated)"), "{}", good.text());
+    let bad = boresight(folder.path(), &["robot", "poses", &fixed, "--poses-as", "fanuc-wpr"]);
+    assert_eq!(bad.code, Some(1), "{}", bad.stderr);
+    assert!(bad.stderr.contains("kuka-abc") && bad.stderr.contains("times better"), "{}", bad.stderr);
+    let none = boresight(folder.path(), &["robot", "hand-eye", &job("opencv-stereo")]);
+    assert_eq!(none.code, Some(2), "{}", none.stderr);
+    assert!(none.stderr.contains("no table of robot poses"), "{}", none.stderr);
+}
