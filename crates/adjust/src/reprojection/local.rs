@@ -653,8 +653,8 @@ impl<S: Simd> LocalRows<'_, S> {
                 return false;
             }
             let (factors, _) = S::as_simd_f64s(&factors[lane]);
-            for k in 0..SIDE * SIDE {
-                let weight = simd.splat_f64s(knot_weights[lane][k]);
+            for (k, weight) in knot_weights[lane][..SIDE * SIDE].iter().enumerate() {
+                let weight = simd.splat_f64s(*weight);
                 let knot = (below + k / SIDE) * rectangle.n_columns + right + k % SIDE;
                 let (sums, _) = S::as_mut_simd_f64s(&mut knots[knot * PER_KNOT..(knot + 1) * PER_KNOT]);
                 for (sum, factor) in sums.iter_mut().zip(factors) {

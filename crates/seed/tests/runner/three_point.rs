@@ -3,9 +3,7 @@
 use std::time::Instant;
 
 use boresight_geometry::{Point3, Pose, Vector3, Vector6};
-use boresight_seed::{
-    ThreePointError, ThreePointPoses, backward_project, three_point_poses, triangle_from_sides,
-};
+use boresight_seed::{ThreePointError, backward_project, three_point_poses, triangle_from_sides};
 use proptest::prelude::*;
 
 /// A fixed sequence of numbers in [-1, 1): xorshift64 of Marsaglia 2003.

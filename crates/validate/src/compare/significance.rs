@@ -136,7 +136,7 @@ impl<'a> Remaining<'a> {
                 continue;
             }
             let Some((by_lens, by_transform)) = left.slopes(grid.pixel(i)) else { continue };
-            own += by_transform.transpose() * &by_transform;
+            own += by_transform.transpose() * by_transform;
             with_lens += by_transform.transpose() * by_lens;
         }
         if comparison.distance_m.is_none() {
