@@ -19,6 +19,7 @@ mod calibrate;
 mod choices;
 mod error;
 mod explain;
+mod images;
 mod options;
 mod results;
 mod select;
@@ -31,9 +32,10 @@ pub use boresight_data::{
 };
 pub use boresight_geometry::{Pose, Vector3};
 pub use boresight_io::{
-    Error as IoError, FORMATS, Job, JobOverrides, Kind as IoKind, NamedCamera, OutputFile,
-    calibration_to_json, export, load_job, matrices_to_json, matrices_to_npy, matrices_to_text, parse_target,
-    read_calibration, read_cameras, write_files,
+    Error as IoError, FORMATS, IMAGE_EXTENSIONS, ImageFile, ImageJob, Job, JobOverrides, Kind as IoKind,
+    NamedCamera, OutputFile, SeenImage, calibration_to_json, corners_to_csv, export, is_pattern, load_images,
+    load_job, matrices_to_json, matrices_to_npy, matrices_to_text, overlay_to_png, parse_target,
+    read_calibration, read_cameras, read_image, write_files,
 };
 pub use boresight_validate::{CompareOptions, ComparedCamera, RigComparison, Verdict, compare_rigs, verdict};
 
@@ -41,6 +43,7 @@ pub use calibrate::{Outcome, Watch, calibrate};
 pub use choices::{BadChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
 pub use error::{Error, ErrorKind};
 pub use explain::{codes, explain};
+pub use images::{ImageProgress, detect_images, load};
 pub use options::CalibrateOptions;
 pub use results::{RESULT_FILES, result_files, sigma_of, write_results};
 

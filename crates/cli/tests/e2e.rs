@@ -6,6 +6,8 @@
 mod bad_inputs;
 #[path = "e2e/calibrate.rs"]
 mod calibrate;
+#[path = "e2e/images.rs"]
+mod images;
 #[path = "e2e/results.rs"]
 mod results;
 
