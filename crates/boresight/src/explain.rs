@@ -20,12 +20,33 @@ const OF_INPUT: &[(&str, &str)] = &[
          How to fix it: leave corners that were not found out of the file.",
     ),
     (
+        "duplicate-images",
+        "What it means: some images of a camera are copies of others, byte by byte. They are left out.\n\n\
+         Why it matters: a copy adds no information, but would count as if it did: every sigma would come out too small.\n\n\
+         How to fix it: take the copies away.",
+    ),
+    (
+        "image-orientation",
+        "What it means: the files ask, by EXIF, for the image to be turned or mirrored when it is shown. The pixels\n\
+         are taken as they are stored.\n\n\
+         Why it matters: a calibration holds for the pixels it was made from. A program that turns the image first sees\n\
+         other pixels.\n\n\
+         How to fix it: undistort and measure in images as they are stored, or store them turned and calibrate those.",
+    ),
+    (
         "images-without-camera",
         "What it means: a corner file names images that match the pattern (`images`) of no camera in the job.\n\
          Their corners are left out.\n\n\
          Why it matters: if they belong to a camera of the rig, their information is lost.\n\n\
          How to fix it: widen the pattern of the camera they belong to, or ignore this if they are of another\n\
          camera.",
+    ),
+    (
+        "mixed-image-sizes",
+        "What it means: some images of a camera have another size than most. They are left out.\n\n\
+         Why it matters: a calibration holds for one size of image. Images of another size were scaled or cropped, or\n\
+         are of another camera.\n\n\
+         How to fix it: take them away, or calibrate them apart.",
     ),
     (
         "no-newline-at-end",
@@ -41,6 +62,21 @@ const OF_INPUT: &[(&str, &str)] = &[
          are given to, may be wrong.\n\n\
          How to fix it: check image_size of the camera, and that the corners were not detected in images that\n\
          were scaled or cropped otherwise.",
+    ),
+    (
+        "target-not-detected",
+        "What it means: the target was not detected in some images, for the reason that is told. A part of a board is\n\
+         used where its labels are certain: where enough of the rim is seen to tell which part it is.\n\n\
+         Why it matters: images without the target do no harm, but those of a target near the border of the image say most\n\
+         about the lens there.\n\n\
+         How to fix it: look at the images with boresight detect --overlays, keep a white rim around the squares, and let the\n\
+         board's rim show on one side at least in each direction.",
+    ),
+    (
+        "unreadable-image",
+        "What it means: a file could not be read as an image. It is left out.\n\n\
+         Why it matters: if it shows the target, its information is lost.\n\n\
+         How to fix it: copy it again from its source, or take it away.",
     ),
 ];
 

@@ -23,6 +23,7 @@ mod error;
 mod explain;
 mod hand_eye;
 mod held_out;
+mod images;
 mod known_rig;
 mod locate;
 mod options;
@@ -47,10 +48,11 @@ pub use boresight_data::{
 };
 pub use boresight_geometry::{Pose, Vector3};
 pub use boresight_io::{
-    Error as IoError, FORMATS, Job, JobOverrides, Kind as IoKind, NamedCamera, OutputFile, PLANE_SCHEMA,
-    PlanarMotionRow, PlaneDocument, RobotAxes, RobotInput, RobotJob, RobotOverrides, RobotTable,
-    TouchDocument, TriedDocument, calibration_to_json, export, hash, load_job, matrices_to_json,
-    matrices_to_npy, matrices_to_text, parse_target, plane_to_json, read_calibration, read_cameras,
+    Error as IoError, FORMATS, IMAGE_EXTENSIONS, ImageFile, ImageJob, Job, JobOverrides, Kind as IoKind,
+    NamedCamera, OutputFile, PLANE_SCHEMA, PlanarMotionRow, PlaneDocument, RobotAxes, RobotInput, RobotJob,
+    RobotOverrides, RobotTable, SeenImage, TouchDocument, TriedDocument, calibration_to_json, corners_to_csv,
+    export, hash, is_pattern, load_images, load_job, matrices_to_json, matrices_to_npy, matrices_to_text,
+    overlay_to_png, parse_target, plane_to_json, read_calibration, read_cameras, read_image,
     read_planar_motions, read_plane, read_robot_job, write_atomically, write_files,
 };
 pub use boresight_seed::planar_robot::{PLANAR_NAMES, PlanarError, PlanarMotion, PlanarRobot, planar_robot};
@@ -72,6 +74,7 @@ pub use hand_eye::{
     PoseReadings, SigmaSource, WorkingPoint, check_motions, describe_reading, hand_eye, read_poses,
 };
 pub use held_out::held_out;
+pub use images::{ImageProgress, detect_images, load};
 pub use known_rig::KnownRig;
 pub use locate::{Candidate, LocatePoint, Located, locate};
 pub use options::CalibrateOptions;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use boresight::{HoldoutChoice, LossChoice, Model, RegularizationChoice, RejectChoice, ShapeChoice, Target};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
-use crate::inputs::ImageSize;
+use crate::inputs::{CameraImages, ImageSize};
 use crate::robot::RobotCommand;
 use crate::stereo::StereoArguments;
 
@@ -22,8 +22,10 @@ pub(crate) struct Arguments {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Calibrate a camera, a stereo pair or a rig from the corners of a target
+    /// Calibrate a camera, a stereo pair or a rig from images of a target, or from its corners
     Calibrate(CalibrateArguments),
+    /// Detect a target in images: corners as a table, and overlays to look at
+    Detect(DetectArguments),
     /// Tell what is in a dataset or a calibration
     Info(InfoArguments),
     /// Print the matrices P, M and H = P*M of each camera
@@ -63,10 +65,10 @@ pub(crate) enum Command {
     },
 }
 
-/// The corners, and what a job file would say about them.
+/// Images or corners, and what a job file would say about them.
 #[derive(Args, Debug)]
 pub(crate) struct InputArguments {
-    /// A folder with a boresight.toml, a job file, or corner files (.csv, .vnl)
+    /// Images, folders of images or patterns; or a folder with a boresight.toml, a job file, or corner files (.csv, .vnl)
     #[arg(value_name = "INPUT", required_unless_present = "config")]
     pub inputs: Vec<PathBuf>,
     /// The job file, for corner files that lie elsewhere
@@ -78,6 +80,21 @@ pub(crate) struct InputArguments {
     /// Width and height of the images in pixels, of all cameras or of one; may be repeated
     #[arg(long, value_name = "WxH or NAME=WxH")]
     pub image_size: Vec<ImageSize>,
+    /// Which images a camera took, such as left='left*.png'; may be repeated [default: told by folders and names]
+    #[arg(long, value_name = "NAME=PATTERN")]
+    pub camera: Vec<CameraImages>,
+}
+
+#[derive(Args, Debug)]
+pub(crate) struct DetectArguments {
+    #[command(flatten)]
+    pub input: InputArguments,
+    /// The file for the corners; without it they are printed
+    #[arg(short, long, value_name = "CORNERS.csv")]
+    pub output: Option<PathBuf>,
+    /// The folder for a copy of each image with its corners marked; made if it does not exist
+    #[arg(long, value_name = "DIR")]
+    pub overlays: Option<PathBuf>,
 }
 
 #[derive(Args, Debug)]

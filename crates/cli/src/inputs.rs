@@ -3,10 +3,13 @@
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use boresight::{Job, JobOverrides, RobotOverrides, Target, load_job};
+use boresight::{
+    Job, JobOverrides, RobotOverrides, Target, detect_images, is_pattern, load_images, load_job,
+};
 
 use crate::arguments::InputArguments;
 use crate::failure::{Failure, Reason};
+use crate::progress;
 
 /// The size of the images of a camera, or of all.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -47,30 +50,71 @@ pub(crate) fn parse_target(spec: &str) -> Result<Target, String> {
     })
 }
 
-/// Loads the job that the arguments name.
-pub(crate) fn load(arguments: &InputArguments) -> Result<Job, Failure> {
-    load_with_robot(arguments, RobotOverrides::default())
+/// A camera and the pattern of its images' names.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct CameraImages {
+    /// The camera.
+    pub name: String,
+    /// The pattern, with `*` and `?`.
+    pub pattern: String,
 }
 
-/// Loads the job that the arguments name, with what the command line says of its robot.
-pub(crate) fn load_with_robot(arguments: &InputArguments, robot: RobotOverrides) -> Result<Job, Failure> {
+impl FromStr for CameraImages {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once('=') {
+            Some((name, pattern)) if !name.is_empty() && !pattern.is_empty() => {
+                Ok(Self { name: name.to_owned(), pattern: pattern.to_owned() })
+            }
+            _ => Err("write NAME=PATTERN, such as left='left*.png'".to_owned()),
+        }
+    }
+}
+
+/// Returns the inputs that the arguments name; those that do not exist are answered at once.
+pub(crate) fn paths(arguments: &InputArguments) -> Result<Vec<PathBuf>, Failure> {
     let inputs: Vec<PathBuf> = arguments.config.iter().chain(&arguments.inputs).cloned().collect();
-    for path in &inputs {
+    for path in inputs.iter().filter(|path| !is_pattern(path)) {
         // Otherwise a mistyped name would be answered with a question about the target.
         if let Err(error) = std::fs::metadata(path) {
             let message = format!("{}: cannot be read: {error}", path.display());
             return Err(Failure::new(Reason::Input, message).with_hint("is the path right?"));
         }
     }
-    let sizes = &arguments.image_size;
-    let of_all = sizes.iter().rev().find(|size| size.camera.is_none()).map(|size| size.size);
-    let named = || sizes.iter().filter_map(|size| Some((size.camera.as_deref()?, size.size)));
-    let mut overrides = JobOverrides {
+    Ok(inputs)
+}
+
+/// Returns what the arguments say in place of a job file.
+pub(crate) fn overrides(arguments: &InputArguments) -> JobOverrides {
+    let of_all = arguments.image_size.iter().rev().find(|size| size.camera.is_none()).map(|size| size.size);
+    let camera = |camera: &CameraImages| (camera.name.clone(), camera.pattern.clone());
+    JobOverrides {
         target: arguments.target.clone(),
         image_size: of_all,
-        robot,
-        ..JobOverrides::default()
-    };
+        sigma_px: None,
+        cameras: arguments.camera.iter().map(camera).collect(),
+        robot: RobotOverrides::default(),
+    }
+}
+
+/// Loads the job that the arguments name, with the corners of images detected.
+pub(crate) fn load(arguments: &InputArguments) -> Result<Job, Failure> {
+    load_with_robot(arguments, RobotOverrides::default())
+}
+
+/// Loads the job that the arguments name, with what the command line says of its robot.
+pub(crate) fn load_with_robot(arguments: &InputArguments, robot: RobotOverrides) -> Result<Job, Failure> {
+    let inputs = paths(arguments)?;
+    let mut overrides = JobOverrides { robot, ..overrides(arguments) };
+    if let Some(images) = load_images(&inputs, &overrides)? {
+        let (bar, tell) = progress::of_images();
+        let seen = detect_images(&images, &tell);
+        bar.finish_and_clear();
+        return Ok(images.with_detections(seen)?);
+    }
+    let sizes = &arguments.image_size;
+    let named = || sizes.iter().filter_map(|size| Some((size.camera.as_deref()?, size.size)));
     let largest = named().map(|(_, size)| size).reduce(|a, b| [a[0].max(b[0]), a[1].max(b[1])]);
     let mut must_be_named = false;
     let loaded = match (load_job(&inputs, &overrides), largest) {

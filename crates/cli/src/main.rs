@@ -9,6 +9,7 @@ mod arguments;
 mod calibrate;
 mod compare;
 mod convert;
+mod detect;
 mod explain;
 mod export;
 mod failure;
@@ -46,6 +47,7 @@ fn main() -> ExitCode {
 fn run(command: Command) -> Result<ExitCode, Failure> {
     match command {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Detect(arguments) => detect::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Matrix(arguments) => matrix::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),

@@ -26,3 +26,20 @@ pub(crate) fn start() -> (ProgressBar, Observer) {
     });
     (bar, observer)
 }
+
+/// Returns the progress bar of a detection, hidden where stderr is no terminal, and what feeds it.
+pub(crate) fn of_images() -> (ProgressBar, impl Fn(usize, usize) + Sync) {
+    let bar = if std::io::stderr().is_terminal() { ProgressBar::new(0) } else { ProgressBar::hidden() };
+    if let Ok(style) = ProgressStyle::with_template("{elapsed} detecting {bar:40} {pos} of {len} images") {
+        bar.set_style(style);
+    }
+    let shown = bar.clone();
+    let tell = move |done: usize, total: usize| {
+        shown.set_length(total as u64);
+        // Threads may tell out of order; the bar does not go back.
+        if done as u64 > shown.position() {
+            shown.set_position(done as u64);
+        }
+    };
+    (bar, tell)
+}

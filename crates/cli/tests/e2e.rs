@@ -8,6 +8,8 @@ mod bad_inputs;
 mod calibrate;
 #[path = "e2e/hand_eye.rs"]
 mod hand_eye;
+#[path = "e2e/images.rs"]
+mod images;
 #[path = "e2e/results.rs"]
 mod results;
 #[path = "e2e/robot.rs"]

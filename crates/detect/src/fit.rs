@@ -36,7 +36,12 @@ pub(crate) struct Start {
     pub blur_px: f64,
     /// The share of a step that the window reaches.
     pub reach: f64,
+    /// What an earlier fit of this corner found.
+    pub before: Option<Shape>,
 }
+
+/// The unknowns of a corner beside its place: angles of the edges, logarithms of the blurs, offset, slopes, amplitude.
+type Shape = [f64; N - 2];
 
 /// A fitted corner.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,6 +56,8 @@ pub(crate) struct Fit {
     pub contrast: f64,
     /// The root mean square of the residuals in grey values.
     pub residual: f64,
+    /// What a fit of this corner from near here begins with.
+    pub shape: Option<Shape>,
 }
 
 /// Fits a corner, or returns `None` where the grey values do not look like one.
@@ -76,8 +83,10 @@ pub(crate) fn fit(image: &GrayImage, start: &Start) -> Option<Fit> {
         }
         let tried = window.normal_equations(&next);
         if tried.cost <= normal.cost {
-            let is_done =
-                (next - x).fixed_rows::<2>(0).norm() < 1e-4 && normal.cost - tried.cost < 1e-6 * normal.cost;
+            // Convergence is quadratic: what is left after such a step is far below any sigma.
+            let is_done = damping <= 1e-3
+                && (next - x).fixed_rows::<2>(0).norm() < 2e-3
+                && normal.cost - tried.cost < 1e-3 * normal.cost;
             (x, normal) = (next, tried);
             damping = (damping * 0.1).max(1e-9);
             if is_done {
@@ -103,6 +112,7 @@ pub(crate) fn fit(image: &GrayImage, start: &Start) -> Option<Fit> {
         blur_px,
         contrast: 2.0 * x[9] * sense,
         residual: (normal.cost / freedom).sqrt(),
+        shape: Some(std::array::from_fn(|i| x[i + 2])),
     };
     let is_inside =
         (0..2).all(|axis| fit.pixel[axis] >= 1.0 && fit.pixel[axis] <= f64::from(image.size()[axis]) - 2.0);
@@ -191,7 +201,7 @@ impl Window {
         let sense = if start.is_bright { 1.0 } else { -1.0 };
         let angle = |step: [f64; 2]| step[1].atan2(step[0]);
         let blur = start.blur_px.max(LEAST_BLUR_PX).ln();
-        let guess = SVector::from([
+        let mut guess = SVector::from([
             start.pixel[0] - self.origin[0],
             start.pixel[1] - self.origin[1],
             angle(start.steps_px[0]),
@@ -203,6 +213,9 @@ impl Window {
             0.0,
             sense * square.sqrt(),
         ]);
+        if let Some(before) = start.before {
+            guess.fixed_rows_mut::<{ N - 2 }>(2).copy_from_slice(&before);
+        }
         (square > 0.0).then_some(guess)
     }
 
@@ -214,7 +227,9 @@ impl Window {
         let correlation = sin1 * sin2 + cos1 * cos2;
         let (rho, rho2, rho3) = (correlation, 0.5 * correlation.powi(2), correlation.powi(3) / 6.0);
         let table = &*TABLE;
-        let mut upper = [[0.0f64; N + 1]; N + 1];
+        // Rows are padded to whole registers, and single precision is enough: the steps shrink with the residuals.
+        let mut products = [[0.0f32; N + 2]; N + 1];
+        let mut cost = 0.0;
         for &[u, v, seen] in &self.pixels {
             let (dx, dy) = (u - x[0], v - x[1]);
             let (along1, along2) = (dx * cos1 + dy * sin1, dx * cos2 + dy * sin2);
@@ -226,27 +241,30 @@ impl Window {
             let series = p1 * p2 * (rho2 * h * k - rho - rho3 * (h * h - 1.0) * (k * k - 1.0));
             let model = e1 * e2 + series;
             let (by_d1, by_d2) = (x[9] * p1 * e2 * inverse1, x[9] * p2 * e1 * inverse2);
-            let row = [
-                by_d1 * sin1 - by_d2 * sin2,
-                by_d2 * cos2 - by_d1 * cos1,
-                -by_d1 * along1,
-                by_d2 * along2,
-                -by_d1 * d1,
-                -by_d2 * d2,
+            let residual = x[6] + x[7] * u + x[8] * v + x[9] * model - seen;
+            let row: [f32; N + 2] = [
+                (by_d1 * sin1 - by_d2 * sin2) as f32,
+                (by_d2 * cos2 - by_d1 * cos1) as f32,
+                (-by_d1 * along1) as f32,
+                (by_d2 * along2) as f32,
+                (-by_d1 * d1) as f32,
+                (-by_d2 * d2) as f32,
                 1.0,
-                u,
-                v,
-                model,
-                x[6] + x[7] * u + x[8] * v + x[9] * model - seen,
+                u as f32,
+                v as f32,
+                model as f32,
+                residual as f32,
+                0.0,
             ];
-            for i in 0..=N {
-                for j in i..=N {
-                    upper[i][j] += row[i] * row[j];
+            cost += residual * residual;
+            for (sums, &a) in products.iter_mut().zip(&row) {
+                for (sum, &b) in sums.iter_mut().zip(&row) {
+                    *sum += a * b;
                 }
             }
         }
-        let matrix = SMatrix::from_fn(|i, j| upper[i.min(j)][i.max(j)]);
-        Normal { matrix, gradient: SVector::from_fn(|i, _| upper[i][N]), cost: upper[N][N] }
+        let matrix = SMatrix::from_fn(|i, j| f64::from(products[i.min(j)][i.max(j)]));
+        Normal { matrix, gradient: SVector::from_fn(|i, _| f64::from(products[i][N])), cost }
     }
 }
 
@@ -286,5 +304,60 @@ impl Table {
         let share = scaled - i as f64;
         let ([e0, p0], [e1, p1]) = (self.values[i], self.values[i + 1]);
         [(e0 + share * (e1 - e0)).copysign(x), p0 + share * (p1 - p0)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_is_the_error_function() {
+        // erf(x/√2) to 16 digits, from Python's math.erf.
+        for (x, expected) in
+            [(0.0, 0.0), (0.3, 0.23582284437790524), (1.0, 0.6826894921370859), (4.1, 0.9999586849861749)]
+        {
+            for sign in [1.0, -1.0] {
+                let [value, slope] = TABLE.at(sign * x);
+                let density = (2.0 / std::f64::consts::PI).sqrt() * (-0.5 * x * x).exp();
+                // Between entries 1/128 apart, chords are off by at most 4e-6.
+                assert!(
+                    (value - sign * expected).abs() < 5e-6 && (slope - density).abs() < 1e-5,
+                    "{x}: {value} {slope}"
+                );
+            }
+        }
+        assert_eq!((TABLE.at(50.0), TABLE.at(-50.0)), ([1.0, 0.0], [-1.0, 0.0]));
+    }
+
+    #[test]
+    fn edges_that_are_bent_as_told_leave_the_corner_in_place() {
+        // A corner between edges that are parabolas, 0.6 pixels out at the end of a step of 20 pixels.
+        let (at, blur, bend) = ([30.3, 29.6], 1.1, 0.6);
+        let value = |i: usize| {
+            let (x, y) = ((i % 60) as f64 - at[0], (i / 60) as f64 - at[1]);
+            let curvature = bend / 400.0;
+            let soft = |distance: f64| TABLE.at(distance / blur)[0];
+            (120.0 + 80.0 * soft(y - curvature * x * x) * soft(x - curvature * y * y)).round() as u8
+        };
+        let image = GrayImage::new([60, 60], GrayPixels::Eight((0..3600).map(value).collect())).unwrap();
+        let start = Start {
+            pixel: [30.8, 29.2],
+            steps_px: [[20.0, 0.0], [0.0, 20.0]],
+            bends_px: [[0.0, bend], [bend, 0.0]],
+            is_bright: true,
+            blur_px: 1.0,
+            reach: 0.55,
+            before: None,
+        };
+        let error = |start: &Start| {
+            let fit = fit(&image, start).unwrap();
+            (fit.pixel[0] - at[0]).hypot(fit.pixel[1] - at[1])
+        };
+        assert!(error(&start) < 0.01, "{}", error(&start));
+        let straight = Start { bends_px: [[0.0; 2]; 2], ..start };
+        assert!(error(&straight) > 0.03, "{}", error(&straight));
+        assert!(fit(&image, &Start { is_bright: false, ..start }).is_none_or(|fit| fit.contrast < 0.0));
+        assert_eq!(fit(&image, &Start { steps_px: [[20.0, 0.0], [20.0, 0.1]], ..start }), None);
     }
 }

@@ -36,7 +36,14 @@ impl Grid {
     ///
     /// It grows to at most `most` corners along either axis.
     pub fn refined(image: &GrayImage, lattice: &Lattice, most: i32) -> Option<Self> {
-        let guess = |pixel, contrast| Fit { pixel, sigma_px: 0.0, blur_px: 1.0, contrast, residual: 0.0 };
+        let guess = |pixel, contrast| Fit {
+            pixel,
+            sigma_px: 0.0,
+            blur_px: 1.0,
+            contrast,
+            residual: 0.0,
+            shape: None,
+        };
         let corners =
             lattice.corners.iter().map(|(at, corner)| (*at, guess(corner.pixel, corner.contrast))).collect();
         let mut grid = Self { corners, is_bright: lattice.is_bright };
@@ -68,7 +75,8 @@ impl Grid {
     /// Fits every corner from where it is; `bending` scales the curvature that neighbours give the edges.
     fn refit(&mut self, image: &GrayImage, bending: [f64; 2]) {
         let fitted = self.corners.iter().filter_map(|(at, corner)| {
-            let start = self.start(*at, corner.pixel, corner.blur_px, bending)?;
+            let mut start = self.start(*at, corner.pixel, corner.blur_px, bending)?;
+            start.before = corner.shape;
             let fit = fit(image, &start)?;
             let step_px = start.steps_px.map(|step| step[0].hypot(step[1]));
             let may_move_px = MOVE_SHARE * step_px[0].min(step_px[1]);
@@ -104,7 +112,15 @@ impl Grid {
             steps_px[axis] = step;
             bends_px[axis] = bend.map(|b| b * bending[axis]);
         }
-        Some(Start { pixel, steps_px, bends_px, is_bright: self.is_bright_square(at), blur_px, reach: REACH })
+        Some(Start {
+            pixel,
+            steps_px,
+            bends_px,
+            is_bright: self.is_bright_square(at),
+            blur_px,
+            reach: REACH,
+            before: None,
+        })
     }
 
     /// Adds corners next to known ones, where the prediction is a corner in the image.

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use boresight_data::{Geometry, Id as _, Observation, PointId, Target};
+use boresight_data::{Dataset, Geometry, Id as _, Observation, PointId, Target};
 
 use crate::cursor::{Cursor, shown};
 use crate::number::parse_number;
@@ -16,6 +16,21 @@ use crate::{Error, Place};
 const EXAMPLE: &str = "camera,image,view,point,X,Y,Z,u,v";
 /// How far a coordinate may be from the grid's, in squares.
 const TOLERANCE: f64 = 1e-4;
+
+/// Returns the corners of a dataset as a table `camera,image,view,point,u,v,sigma_px`, as [`read_csv`] reads it.
+///
+/// Pixels and sigmas are rounded to 1e-6 pixels.
+pub fn corners_to_csv(dataset: &Dataset) -> String {
+    let mut text = String::from("camera,image,view,point,u,v,sigma_px\n");
+    for view in &dataset.views {
+        let (camera, frame) = (&dataset.cameras[view.camera].name, &dataset.frames[view.frame].name);
+        let image = view.image.as_deref().unwrap_or_default();
+        for Observation { point, pixel: [u, v], sigma_px } in &view.observations {
+            text.push_str(&format!("{camera},{image},{frame},{point},{u:.6},{v:.6},{sigma_px:.6}\n"));
+        }
+    }
+    text
+}
 
 #[derive(Clone, Copy, PartialEq)]
 enum Column {

@@ -55,6 +55,26 @@ pub enum Error {
         /// What the system says.
         source: std::io::Error,
     },
+    /// An image cannot be decoded.
+    #[error("{file}: the image cannot be used: {why}")]
+    Image {
+        /// The file.
+        file: String,
+        /// What the decoder says.
+        why: String,
+    },
+    /// The target was not detected in any image.
+    #[error("the target ({target}) was detected in none of {images} images: {why}")]
+    NothingDetected {
+        /// The target in words.
+        target: String,
+        /// How many images were looked at.
+        images: usize,
+        /// What was said of most of them.
+        why: String,
+        /// The size of the board that is seen in most of them, in inner corners.
+        seen: Option<[u32; 2]>,
+    },
     /// A file cannot be written.
     #[error("{file}: cannot be written: {source}")]
     Write {
@@ -413,6 +433,12 @@ impl Error {
                 "write chessboard:COLUMNSxROWS:SPACING with inner corners and a unit, such as chessboard:9x6:25mm",
             ),
             Error::Schema { .. } => text("a newer Boresight wrote it; read it with that, or update"),
+            Error::NothingDetected { seen: Some([columns, rows]), .. } => {
+                Some(format!("count inner corners, not squares: is the target {columns}x{rows}?"))
+            }
+            Error::NothingDetected { .. } => text(
+                "do columns and rows count inner corners, and does the whole board with its white rim show in the images?",
+            ),
             Error::DuplicateView { .. } => text("a camera sees each frame once; are the frame names unique?"),
             _ => None,
         }

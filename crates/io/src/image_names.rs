@@ -260,7 +260,7 @@ fn number_after_camera(name: &str) -> Option<(std::ops::Range<usize>, &str)> {
 /// Returns what the wildcards of `pattern` match in `text`, or `None` if it does not match.
 ///
 /// A run of `?` gives one part; `*` takes as little as it can, in linear memory and quadratic time.
-fn match_pattern<'a>(pattern: &str, text: &'a str) -> Option<Vec<&'a str>> {
+pub(crate) fn match_pattern<'a>(pattern: &str, text: &'a str) -> Option<Vec<&'a str>> {
     let pieces: Vec<&str> = pattern.split('*').collect();
     let fits = |piece: &str, text: &str| -> Option<usize> {
         let mut chars = text.char_indices();

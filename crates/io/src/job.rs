@@ -45,17 +45,98 @@ pub struct JobOverrides {
     pub sigma_px: Option<f64>,
     /// What replaces the job's `[robot]`.
     pub robot: RobotOverrides,
+    /// Names of cameras with patterns of the names of their images; empty takes the job file's cameras.
+    pub cameras: Vec<(String, String)>,
 }
 
 /// Loads a job from `inputs`: a folder with a `boresight.toml`, a job file, corner files, or a job and corner files.
 ///
 /// Corner files beside a job take the place of those that the job names.
 pub fn load_job(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Job, Error> {
-    let (jobs, corner_files): (Vec<&PathBuf>, Vec<&PathBuf>) = inputs
+    let Head { folder, job, options_place, target, mut hashes, place, others: corner_files } =
+        head(inputs, overrides)?;
+    let sigma_px = overrides.sigma_px.or(job.sigma_px).unwrap_or(1.0);
+    if !(1e-6..=1e3).contains(&sigma_px) {
+        let message =
+            format!("sigma_px is {sigma_px}: the standard deviation of a corner in pixels must be positive");
+        return Err(config(Path::new("options"), message, "leave it out for 1 px"));
+    }
+
+    let named: Vec<(String, PathBuf)> = if corner_files.is_empty() {
+        job.corners.into_iter().map(|name| (name.clone(), folder.join(name))).collect()
+    } else {
+        corner_files.into_iter().map(|path| (path.display().to_string(), path.clone())).collect()
+    };
+    if named.is_empty() {
+        let fix = "add [input] corners = [\"corners.csv\"] to the job, or name corner files (.csv or .vnl)";
+        return Err(config(&place, "there are no corner files".to_owned(), fix));
+    }
+    let mut files = Vec::new();
+    for (name, path) in named {
+        let bytes = read(&path)?;
+        let file = path.display().to_string();
+        hashes.push((name, hash(&bytes)));
+        let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+        let Some(read_corners) = extension.and_then(|extension| corner_reader(&extension)) else {
+            return Err(config(
+                &path,
+                "this is no corner file".to_owned(),
+                "corner files end in .csv or .vnl",
+            ));
+        };
+        files.push(read_corners(&file, &bytes, &target, sigma_px)?);
+    }
+    let mut cameras = job.cameras;
+    if let Some(image_size) = overrides.image_size {
+        cameras.iter_mut().for_each(|camera| camera.image_size = image_size);
+    }
+    let (mut dataset, findings) = assemble(files, &cameras, overrides.image_size, target)?;
+    let robot = robot_of(&folder, job.robot.as_ref(), &overrides.robot, &mut dataset, &mut hashes)?;
+    let known_lenses = job.known_lenses;
+    Ok(Job { dataset, options: job.options, options_place, inputs: hashes, findings, robot, known_lenses })
+}
+
+/// Reads what the job says of a robot, if it has one, and gives the frames their robot poses.
+pub(crate) fn robot_of(
+    folder: &Path,
+    said: Option<&(crate::robot_input::RobotTable, Place)>,
+    overrides: &RobotOverrides,
+    dataset: &mut Dataset,
+    hashes: &mut Vec<(String, String)>,
+) -> Result<Option<RobotInput>, Error> {
+    let place = said.map_or_else(|| Place::file("--poses"), |(_, place)| place.clone());
+    let table = said.map(|(table, _)| table);
+    let robot = load_robot(folder, table, &place, overrides, dataset)?;
+    Ok(robot.map(|(robot, mut read)| {
+        hashes.append(&mut read);
+        robot
+    }))
+}
+
+/// What a job says before its corners are known.
+pub(crate) struct Head {
+    /// The folder of the job file; empty without one.
+    pub folder: PathBuf,
+    pub job: JobFile,
+    pub options_place: Option<Place>,
+    pub target: Target,
+    /// The files read so far, with their hashes.
+    pub hashes: Vec<(String, String)>,
+    /// What errors about the whole input name.
+    pub place: PathBuf,
+    /// The inputs that are no job.
+    pub others: Vec<PathBuf>,
+}
+
+/// Reads the job file among `inputs`, if there is one, and the target.
+pub(crate) fn head(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Head, Error> {
+    let (jobs, others): (Vec<PathBuf>, Vec<PathBuf>) = inputs
         .iter()
+        .cloned()
         .partition(|path| path.is_dir() || path.extension().is_some_and(|extension| extension == "toml"));
+    let place = jobs.first().or(others.first()).cloned().unwrap_or_else(|| PathBuf::from("the input"));
     let mut hashes = Vec::new();
-    let (folder, job, options_place) = match jobs[..] {
+    let (folder, mut job, options_place) = match &jobs[..] {
         [] => {
             let nothing = JobFile {
                 target: None,
@@ -86,7 +167,7 @@ pub fn load_job(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Job, Err
         }
     };
 
-    let target = match (&overrides.target, job.target) {
+    let target = match (&overrides.target, job.target.take()) {
         (Some(target), _) => target.clone(),
         (None, Some(TargetDescription::Here(target))) => target,
         (None, Some(TargetDescription::Points(name))) => {
@@ -96,58 +177,11 @@ pub fn load_job(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Job, Err
             read_points(&path.display().to_string(), &bytes)?
         }
         (None, None) => {
-            let place =
-                jobs.first().or(corner_files.first()).map_or(Path::new("the input"), |path| path.as_path());
             let fix = "add --target chessboard:COLUMNSxROWS:SPACING, such as chessboard:9x6:25mm, or a [target] to the job";
-            return Err(config(place, "the target is not known".to_owned(), fix));
+            return Err(config(&place, "the target is not known".to_owned(), fix));
         }
     };
-    let sigma_px = overrides.sigma_px.or(job.sigma_px).unwrap_or(1.0);
-    if !(1e-6..=1e3).contains(&sigma_px) {
-        let message =
-            format!("sigma_px is {sigma_px}: the standard deviation of a corner in pixels must be positive");
-        return Err(config(Path::new("options"), message, "leave it out for 1 px"));
-    }
-
-    let named: Vec<(String, PathBuf)> = if corner_files.is_empty() {
-        job.corners.into_iter().map(|name| (name.clone(), folder.join(name))).collect()
-    } else {
-        corner_files.into_iter().map(|path| (path.display().to_string(), path.clone())).collect()
-    };
-    if named.is_empty() {
-        let place = jobs.first().map_or(Path::new("the input"), |path| path.as_path());
-        let fix = "add [input] corners = [\"corners.csv\"] to the job, or name corner files (.csv or .vnl)";
-        return Err(config(place, "there are no corner files".to_owned(), fix));
-    }
-    let mut files = Vec::new();
-    for (name, path) in named {
-        let bytes = read(&path)?;
-        let file = path.display().to_string();
-        hashes.push((name, hash(&bytes)));
-        let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
-        let Some(read_corners) = extension.and_then(|extension| corner_reader(&extension)) else {
-            return Err(config(
-                &path,
-                "this is no corner file".to_owned(),
-                "corner files end in .csv or .vnl",
-            ));
-        };
-        files.push(read_corners(&file, &bytes, &target, sigma_px)?);
-    }
-    let mut cameras = job.cameras;
-    if let Some(image_size) = overrides.image_size {
-        cameras.iter_mut().for_each(|camera| camera.image_size = image_size);
-    }
-    let (mut dataset, findings) = assemble(files, &cameras, overrides.image_size, target)?;
-    let place = job.robot.as_ref().map_or_else(|| Place::file("--poses"), |(_, place)| place.clone());
-    let table = job.robot.as_ref().map(|(table, _)| table);
-    let robot = load_robot(&folder, table, &place, &overrides.robot, &mut dataset)?;
-    let robot = robot.map(|(robot, mut read)| {
-        hashes.append(&mut read);
-        robot
-    });
-    let known_lenses = job.known_lenses;
-    Ok(Job { dataset, options: job.options, options_place, inputs: hashes, findings, robot, known_lenses })
+    Ok(Head { folder, job, options_place, target, hashes, place, others })
 }
 
 /// Returns the blake3 hash of `bytes` in hexadecimal.
@@ -171,11 +205,11 @@ fn find_job_file(folder: &Path) -> Result<PathBuf, Error> {
     if path.is_file() {
         return Ok(path);
     }
-    let message = format!("the folder has no {JOB_FILE}");
-    Err(config(folder, message, "name its corner files and --target, or write a job file"))
+    let message = format!("the folder has no {JOB_FILE} and no images");
+    Err(config(folder, message, "name its corner files or images and --target, or write a job file"))
 }
 
-fn config(path: &Path, message: String, fix: &str) -> Error {
+pub(crate) fn config(path: &Path, message: String, fix: &str) -> Error {
     Error::Config { place: Place::file(path.display().to_string()), message, fix: Some(fix.to_owned()) }
 }
 

@@ -21,7 +21,10 @@ mod error;
 mod file_storage;
 mod format;
 mod h_matrix;
+mod image_files;
+mod image_job;
 mod image_names;
+mod image_pixels;
 mod job;
 mod job_file;
 mod json_text;
@@ -44,6 +47,7 @@ mod target_spec;
 
 pub use atomic::write_atomically;
 pub use calibration_json::{CALIBRATION_SCHEMA, calibration_from_json, calibration_to_json};
+pub use corners_csv::corners_to_csv;
 pub use error::{Error, Kind, Place};
 pub use format::{
     FORMATS, Format, NamedCamera, NamedCovariance, OutputFile, cameras_from_bytes, closest_format, export,
@@ -52,6 +56,9 @@ pub use format::{
 pub use h_matrix::{
     CameraMatrices, MATRIX_SCHEMA, matrices, matrices_to_json, matrices_to_npy, matrices_to_text,
 };
+pub use image_files::{IMAGE_EXTENSIONS, ImageFile, is_pattern};
+pub use image_job::{ImageJob, SeenImage, load_images, read_image};
+pub use image_pixels::{ReadImage, image_from_bytes, overlay_to_png};
 pub use job::{JOB_FILE, Job, JobOverrides, hash, load_job, read_calibration};
 pub use observations_parquet::{
     OBSERVATIONS_SCHEMA, ObservationRow, attach_residuals, observations_to_parquet, read_observations,
