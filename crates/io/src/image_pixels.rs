@@ -180,7 +180,7 @@ mod tests {
         let seen = [observation(0, [10.2, 12.0]), observation(1, [20.0, 12.0]), observation(3, [39.5, 29.9])];
         let png = overlay_to_png(&image, &seen, 3).unwrap();
         let shown = image::load_from_memory(&png).unwrap().into_rgb8();
-        assert_eq!((shown.get_pixel(10, 10).0, shown.get_pixel(15, 12).0), (COLOURS[0], COLOURS[0]));
+        assert_eq!((shown.get_pixel(10, 10).0, shown.get_pixel(17, 12).0), (COLOURS[0], COLOURS[0]));
         assert_eq!((shown.get_pixel(39, 29).0, shown.get_pixel(2, 2).0), (COLOURS[1], [0; 3]));
     }
 }
