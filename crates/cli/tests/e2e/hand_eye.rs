@@ -4,17 +4,13 @@ use std::fmt::Write as _;
 
 use crate::{boresight, dataset};
 
-fn job(name: &str) -> String {
-    dataset(name)
-}
-
 #[test]
 fn the_synthetic_robots_are_calibrated_to_their_truth() {
     for (name, pose) in
         [("robot-hand-eye-on-flange", "flange_from_rig"), ("robot-hand-eye-fixed", "base_from_rig")]
     {
         let folder = tempfile::tempdir().unwrap();
-        let run = boresight(folder.path(), &["robot", "hand-eye", &job(name), "--json"]);
+        let run = boresight(folder.path(), &["robot", "hand-eye", &dataset(name), "--json"]);
         assert_eq!(run.code, Some(0), "{}", run.stderr);
         let found: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
         assert_eq!(found["schema"], "boresight.hand-eye/1");
@@ -63,7 +59,7 @@ fn degenerate_motions_are_refused_and_nothing_is_written() {
     for (name, text, code) in cases {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("poses.txt"), text).unwrap();
-        let arguments = ["robot", "hand-eye", &job("robot-hand-eye-on-flange"), "--poses", "poses.txt"];
+        let arguments = ["robot", "hand-eye", &dataset("robot-hand-eye-on-flange"), "--poses", "poses.txt"];
         let run = boresight(folder.path(), &[&arguments[..], &["--poses-as", "universal-robots"]].concat());
         assert_eq!(run.code, Some(4), "{name}: {}", run.stderr);
         assert!(run.stderr.contains(code) && run.stderr.contains("hint: Add"), "{name}: {}", run.stderr);
@@ -74,14 +70,14 @@ fn degenerate_motions_are_refused_and_nothing_is_written() {
 #[test]
 fn the_doctor_names_the_convention() {
     let folder = tempfile::tempdir().unwrap();
-    let fixed = job("robot-hand-eye-fixed");
+    let fixed = dataset("robot-hand-eye-fixed");
     let good = boresight(folder.path(), &["robot", "poses", &fixed]);
     assert_eq!(good.code, Some(0), "{}", good.stderr);
     assert!(good.text().lines().nth(1).unwrap().contains("(stated)"), "{}", good.text());
     let bad = boresight(folder.path(), &["robot", "poses", &fixed, "--poses-as", "fanuc-wpr"]);
     assert_eq!(bad.code, Some(1), "{}", bad.stderr);
     assert!(bad.stderr.contains("kuka-abc") && bad.stderr.contains("times better"), "{}", bad.stderr);
-    let none = boresight(folder.path(), &["robot", "hand-eye", &job("opencv-stereo")]);
+    let none = boresight(folder.path(), &["robot", "hand-eye", &dataset("opencv-stereo")]);
     assert_eq!(none.code, Some(2), "{}", none.stderr);
     assert!(none.stderr.contains("no table of robot poses"), "{}", none.stderr);
 }
