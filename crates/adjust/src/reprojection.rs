@@ -5,6 +5,7 @@
 //! rows live in scratch as long as it takes to multiply them.
 
 mod local;
+mod row_lens;
 
 use std::sync::Arc;
 
@@ -21,6 +22,7 @@ use boresight_solver::{
 
 use crate::chain::Chain;
 use crate::options::Loss;
+use crate::reprojection::row_lens::{Called, Inlined, RowLens};
 
 /// Points whose rows are in scratch at once; more would spill out of the first-level cache.
 const POINTS_AT_ONCE: usize = 104;
@@ -294,16 +296,20 @@ impl ModelVisitor for Accumulate<'_> {
 
     fn visit<M: CameraModel>(self, model: M) -> Option<Weighed> {
         let arch = self.term.arch;
-        arch.dispatch(AccumulateWith { model, view: self })
+        if const { M::IS_INLINED } {
+            arch.dispatch(AccumulateWith { lens: Inlined(model), view: self })
+        } else {
+            arch.dispatch(AccumulateWith { lens: Called(self.term.model), view: self })
+        }
     }
 }
 
-struct AccumulateWith<'a, M> {
-    model: M,
+struct AccumulateWith<'a, L> {
+    lens: L,
     view: Accumulate<'a>,
 }
 
-impl<M: CameraModel> WithSimd for AccumulateWith<'_, M> {
+impl<L: RowLens> WithSimd for AccumulateWith<'_, L> {
     type Output = Option<Weighed>;
 
     #[inline(always)]
@@ -311,16 +317,16 @@ impl<M: CameraModel> WithSimd for AccumulateWith<'_, M> {
         // The number of shape coefficients and of lens parameters are constants of the code that each
         // arm becomes, so that rows are written without loops and without checks.
         match self.view.term.n_shape {
-            0 => accumulate::<M, S, 0>(simd, self.model, self.view),
-            _ => accumulate::<M, S, MAX_SHAPE>(simd, self.model, self.view),
+            0 => accumulate::<L, S, 0>(simd, self.lens, self.view),
+            _ => accumulate::<L, S, MAX_SHAPE>(simd, self.lens, self.view),
         }
     }
 }
 
 #[inline(always)]
-fn accumulate<M: CameraModel, S: Simd, const SHAPE: usize>(
+fn accumulate<L: RowLens, S: Simd, const SHAPE: usize>(
     simd: S,
-    model: M,
+    model: L,
     view: Accumulate<'_>,
 ) -> Option<Weighed> {
     let Accumulate { term, lens, rotation, translation, shape, scratch } = view;
@@ -336,8 +342,6 @@ fn accumulate<M: CameraModel, S: Simd, const SHAPE: usize>(
     }
     let aligned = scratch.rows.as_ptr().align_offset(64).min(LINE);
     let (u_rows, v_rows) = scratch.rows[aligned..aligned + 2 * room].split_at_mut(room);
-    let (u_rows, _) = S::as_mut_simd_f64s(u_rows);
-    let (v_rows, _) = S::as_mut_simd_f64s(v_rows);
     let by_focal = [1.0 / lens[0], 1.0 / lens[1]];
     let context = Context { model, term, lens, by_focal, rotation, translation, shape };
     // A weight that all rows share is applied to their sums.
@@ -348,19 +352,20 @@ fn accumulate<M: CameraModel, S: Simd, const SHAPE: usize>(
     let mut loss = 0.0;
     let mut first = 0;
     let mut previous = Previous::Forgotten;
+    let n_in_chunk = stride * S::F64_LANES;
     while first < n_points {
         let n_chunks = (n_points - first).min(POINTS_AT_ONCE).div_ceil(S::F64_LANES);
         for chunk in 0..n_chunks {
             let point = first + chunk * S::F64_LANES;
-            let u = &mut u_rows[chunk * stride..(chunk + 1) * stride];
-            let v = &mut v_rows[chunk * stride..(chunk + 1) * stride];
+            let (u, _) = S::as_mut_simd_f64s(&mut u_rows[chunk * n_in_chunk..(chunk + 1) * n_in_chunk]);
+            let (v, _) = S::as_mut_simd_f64s(&mut v_rows[chunk * n_in_chunk..(chunk + 1) * n_in_chunk]);
             if uniform && point + S::F64_LANES <= n_points {
                 context.write_rows::<S, SHAPE, false>(simd, point, [u, v])?;
             } else {
                 loss += context.write_rows::<S, SHAPE, true>(simd, point, [u, v])?;
             }
         }
-        let (u, v) = (&u_rows[..n_chunks * stride], &v_rows[..n_chunks * stride]);
+        let (u, v) = (&u_rows[..n_chunks * n_in_chunk], &v_rows[..n_chunks * n_in_chunk]);
         scratch.gram.sum(simd, n_columns, u, v, previous);
         previous = Previous::Kept;
         first += POINTS_AT_ONCE;
@@ -390,7 +395,7 @@ struct Context<'a, M> {
     shape: [f64; MAX_SHAPE],
 }
 
-impl<M: CameraModel> Context<'_, M> {
+impl<L: RowLens> Context<'_, L> {
     /// Writes the two rows of each point of a chunk and returns the chunk's robust loss, if there is one.
     ///
     /// Rows that are not `WEIGHTED` are in pixels; others are in sigmas, and zero in the padding.
@@ -421,8 +426,13 @@ impl<M: CameraModel> Context<'_, M> {
         let mut by_point = [[zero; 3]; 2];
         let mut by_lens_u = [zero; MAX_LENS];
         let mut by_lens_v = [zero; MAX_LENS];
-        let pixel =
-            model.linearize(lens, p, &mut by_point, [&mut by_lens_u[..n_lens], &mut by_lens_v[..n_lens]])?;
+        let pixel = model.linearize(
+            simd,
+            lens,
+            p,
+            &mut by_point,
+            [&mut by_lens_u[..n_lens], &mut by_lens_v[..n_lens]],
+        )?;
         let mut residuals =
             [pixel[0] - load(simd, &term.pixels[0], point), pixel[1] - load(simd, &term.pixels[1], point)];
         let mut loss = 0.0;
@@ -479,7 +489,9 @@ impl<M: CameraModel> Context<'_, M> {
         }
         Some(loss)
     }
+}
 
+impl<L> Context<'_, L> {
     /// Returns the inverse sigmas of a chunk; zero in the padding.
     ///
     /// A weight that all rows share is applied to their sums where there is no loss, so it is one here.

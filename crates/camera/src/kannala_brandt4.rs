@@ -20,6 +20,7 @@ use crate::{CameraModel, ParamGroup};
 pub struct KannalaBrandt4;
 
 impl CameraModel for KannalaBrandt4 {
+    const IS_INLINED: bool = true;
     const NAME: &'static str = "kannala-brandt4";
 
     fn param_count(&self) -> usize {

@@ -86,6 +86,13 @@ pub trait CameraModel: Copy + Send + Sync + 'static {
     /// What the text after the name and a colon looks like, for a model that has a configuration.
     const CONFIGURATION: Option<&'static str> = None;
 
+    /// Whether [`linearize`](Self::linearize) is short enough to become part of the loop over corners;
+    /// otherwise that loop calls it.
+    const IS_INLINED: bool = false;
+
+    /// Whether the model has [`local_support`](Self::local_support).
+    const IS_LOCAL: bool = false;
+
     /// Returns the model that a configuration describes, or `None` if the text is none.
     ///
     /// What is configured is part of the model and never solved for.

@@ -38,6 +38,8 @@ const LENS_NAMES: [&str; 14] =
 pub struct OpenCv<const N: usize>;
 
 impl<const N: usize> CameraModel for OpenCv<N> {
+    // Tilt is differentiated by dual numbers.
+    const IS_INLINED: bool = N < 14;
     const NAME: &'static str = match N {
         4 => "opencv4",
         5 => "opencv5",

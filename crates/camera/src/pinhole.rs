@@ -16,6 +16,7 @@ pub(crate) const CORE_GROUPS: [ParamGroup; 4] =
 pub struct Pinhole;
 
 impl CameraModel for Pinhole {
+    const IS_INLINED: bool = true;
     const NAME: &'static str = "pinhole";
 
     fn param_count(&self) -> usize {

@@ -5,7 +5,7 @@
 //! both rows, except that those with the first block are kept apart for u and v, because it holds the
 //! columns in which the two rows mean different parameters (`fx` and `fy`, `cx` and `cy`).
 
-use pulp::Simd;
+use pulp::{Simd, WithSimd};
 
 use crate::lanes::MAX_LANES;
 
@@ -55,25 +55,12 @@ impl PairGram {
     /// Rows are sequences of chunks, each of a register for each column and as many idle ones as fill
     /// the last block.
     #[inline(always)]
-    pub fn sum<S: Simd>(
-        &mut self,
-        simd: S,
-        n_columns: usize,
-        u: &[S::f64s],
-        v: &[S::f64s],
-        previous: Previous,
-    ) {
+    pub fn sum<S: Simd>(&mut self, simd: S, n_columns: usize, u: &[f64], v: &[f64], previous: Previous) {
         let n_sums = Self::sum_count(n_columns);
         self.tiles.resize(n_sums + 1, 0.0);
         self.tiles[n_sums] = 0.0;
-        let tiles = Tiles { n_blocks: n_columns.div_ceil(BLOCK), previous };
-        // The last block of columns may be narrow; its width is a constant of the code.
-        match (n_columns - 1) % BLOCK {
-            0 => tiles.sum::<S, 1>(simd, u, v, &mut self.tiles),
-            1 => tiles.sum::<S, 2>(simd, u, v, &mut self.tiles),
-            2 => tiles.sum::<S, 3>(simd, u, v, &mut self.tiles),
-            _ => tiles.sum::<S, BLOCK>(simd, u, v, &mut self.tiles),
-        }
+        // A function of its own, whose code is there once and not in every caller.
+        simd.vectorize(Sum { n_columns, u, v, previous, tiles: &mut self.tiles });
     }
 
     /// Returns all sums as they lie, see [`place`](Self::place), and after them a zero.
@@ -107,6 +94,33 @@ pub enum Previous {
     Kept,
     /// They are forgotten.
     Forgotten,
+}
+
+/// Sums the products of some rows.
+struct Sum<'a> {
+    n_columns: usize,
+    u: &'a [f64],
+    v: &'a [f64],
+    previous: Previous,
+    tiles: &'a mut [f64],
+}
+
+impl WithSimd for Sum<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { n_columns, u, v, previous, tiles: sums } = self;
+        let ((u, _), (v, _)) = (S::as_simd_f64s(u), S::as_simd_f64s(v));
+        let tiles = Tiles { n_blocks: n_columns.div_ceil(BLOCK), previous };
+        // The last block of columns may be narrow; its width is a constant of the code.
+        match (n_columns - 1) % BLOCK {
+            0 => tiles.sum::<S, 1>(simd, u, v, sums),
+            1 => tiles.sum::<S, 2>(simd, u, v, sums),
+            2 => tiles.sum::<S, 3>(simd, u, v, sums),
+            _ => tiles.sum::<S, BLOCK>(simd, u, v, sums),
+        }
+    }
 }
 
 /// The tiles of a matrix of products.
@@ -242,7 +256,7 @@ fn reduce<S: Simd>(simd: S, sums: &[[S::f64s; BLOCK]; BLOCK], previous: Previous
 
 #[cfg(test)]
 mod tests {
-    use pulp::{Arch, WithSimd};
+    use pulp::Arch;
 
     use super::*;
 
@@ -262,21 +276,19 @@ mod tests {
             let entry = |row: usize, point: usize, column: usize| {
                 ((row * 7919 + point * 104_729 + column * 1_299_709) % 1013) as f64 / 1013.0 - 0.4
             };
-            let rows = |row: usize| -> Vec<S::f64s> {
+            let rows = |row: usize| -> Vec<f64> {
                 let register = |chunk: usize, column: usize| {
-                    let lanes: Vec<f64> =
-                        (0..S::F64_LANES).map(|l| entry(row, chunk * S::F64_LANES + l, column)).collect();
-                    simd.partial_load_f64s(&lanes)
+                    (0..S::F64_LANES).map(move |l| entry(row, chunk * S::F64_LANES + l, column))
                 };
                 // What stands in idle columns does not matter.
                 let stride = n_blocks * BLOCK;
-                (0..self.n_chunks * stride).map(|k| register(k / stride, k % stride)).collect()
+                (0..self.n_chunks * stride).flat_map(|k| register(k / stride, k % stride)).collect()
             };
             let (u, v) = (rows(0), rows(1));
             let mut gram = PairGram::default();
             // The second time in two parts.
             gram.sum(simd, n_columns, &u, &v, Previous::Forgotten);
-            let cut = self.n_chunks / 2 * n_blocks * BLOCK;
+            let cut = self.n_chunks / 2 * n_blocks * BLOCK * S::F64_LANES;
             gram.sum(simd, n_columns, &u[..cut], &v[..cut], Previous::Forgotten);
             gram.sum(simd, n_columns, &u[cut..], &v[cut..], Previous::Kept);
             for a in 0..n_columns {

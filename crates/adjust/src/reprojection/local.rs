@@ -356,6 +356,9 @@ impl ModelVisitor for AccumulateLocally<'_, '_> {
     type Output = Accumulated;
 
     fn visit<M: CameraModel>(self, model: M) -> Accumulated {
+        if const { !M::IS_LOCAL } {
+            return Accumulated::Undefined;
+        }
         self.term.arch.dispatch(AccumulateWith { model, view: self })
     }
 }
@@ -411,8 +414,7 @@ fn accumulate<M: CameraModel, S: Simd, const SHAPE: usize, const SIDE: usize>(
     rows.resize(2 * room + n_knot_sums, 0.0);
     let (u_rows, rest) = rows.split_at_mut(room);
     let (v_rows, knots) = rest.split_at_mut(room);
-    let (u_rows, _) = S::as_mut_simd_f64s(u_rows);
-    let (v_rows, _) = S::as_mut_simd_f64s(v_rows);
+    let n_in_chunk = stride * S::F64_LANES;
     let [knots_start, cells_start] = grid.starts();
     let n_points = term.points.n_points;
     let mut loss = 0.0;
@@ -422,8 +424,8 @@ fn accumulate<M: CameraModel, S: Simd, const SHAPE: usize, const SIDE: usize>(
         let n_chunks = (n_points - first).min(POINTS_AT_ONCE).div_ceil(S::F64_LANES);
         for chunk in 0..n_chunks {
             let point = first + chunk * S::F64_LANES;
-            let u = &mut u_rows[chunk * stride..(chunk + 1) * stride];
-            let v = &mut v_rows[chunk * stride..(chunk + 1) * stride];
+            let (u, _) = S::as_mut_simd_f64s(&mut u_rows[chunk * n_in_chunk..(chunk + 1) * n_in_chunk]);
+            let (v, _) = S::as_mut_simd_f64s(&mut v_rows[chunk * n_in_chunk..(chunk + 1) * n_in_chunk]);
             let Some((linear, weights)) = context.write_common::<S, SHAPE>(simd, point, [u, v], &mut loss)
             else {
                 return Accumulated::Undefined;
@@ -441,7 +443,7 @@ fn accumulate<M: CameraModel, S: Simd, const SHAPE: usize, const SIDE: usize>(
                 return Accumulated::OutsideSupport;
             }
         }
-        let (u, v) = (&u_rows[..n_chunks * stride], &v_rows[..n_chunks * stride]);
+        let (u, v) = (&u_rows[..n_chunks * n_in_chunk], &v_rows[..n_chunks * n_in_chunk]);
         scratch.gram.sum(simd, n_columns, u, v, previous);
         previous = Previous::Kept;
         first += POINTS_AT_ONCE;
