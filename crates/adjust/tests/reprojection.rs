@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use boresight_adjust::{Chain, Layouts, Link, Loss, Reprojection, TargetPoints};
-use boresight_camera::{CameraModel, Model, ModelVisitor};
+use boresight_camera::{CameraModel, Model, ModelVisitor, ParamGroup};
 use boresight_data::{Geometry, Observation, PointId, Shape, Target};
 use boresight_geometry::{Pose, Vector3, Vector6};
 use boresight_solver::{BlockId, Elimination, GramMut, Parameters, Scratch, Term};
@@ -130,7 +130,14 @@ fn check(case: &Case) {
     assert!((cost - expected_cost).abs() <= 1e-11 * expected_cost, "cost {cost} against {expected_cost}");
     let mut columns: Vec<Vec<f64>> = Vec::new();
     for column in 0..n_columns {
-        let step = 1e-6 * if column < 4 { 100.0 } else { 1.0 };
+        // A longer step drowns rounding: that of the iteration that finds a pupil's motion, and that of
+        // large residuals where a knot, in which pixels are linear, moves few points by little.
+        let step = match case.model.param_groups().get(column) {
+            _ if column < 4 => 1e-4,
+            Some(ParamGroup::Pupil) => 1e-4,
+            Some(ParamGroup::Spline) => 1e-2,
+            _ => 1e-6,
+        };
         let plus = case.moved(column, step).residuals(&built.observations);
         let minus = case.moved(column, -step).residuals(&built.observations);
         columns.push(plus.iter().zip(&minus).map(|(a, b)| (a - b) / (2.0 * step)).collect());
@@ -142,8 +149,12 @@ fn check(case: &Case) {
     for a in 0..side {
         for b in a..side {
             let (found, expected) = (entries[a * side + b], product(&columns[a], &columns[b]));
-            // Central differences with these steps are good to about 1e-8 of a column's norm.
-            let tolerance = 3e-7 * norms[a] * norms[b] + 1e-9;
+            // Central differences with these steps are good to about 1e-8 of a column's norm, and to 1e-8
+            // in themselves, which counts beside a knot that hardly moves a point.
+            // The slope of a quadratic spline has kinks at its knots, where they are good to the step.
+            let is_kinked = case.model.name().starts_with("splined2");
+            let share = if is_kinked { 3e-6 } else { 3e-7 };
+            let tolerance = share * norms[a] * norms[b] + 1e-8 * (norms[a] + norms[b]) + 1e-9;
             let model = case.model;
             assert!((found - expected).abs() <= tolerance, "{model} ({a}, {b}): {found} against {expected}");
         }

@@ -369,13 +369,13 @@ mod tests {
 
     #[test]
     fn a_lens_that_does_not_fit_is_worse_on_unseen_frames() {
-        // Half of the frames come from a lens that is another one: each half mispredicts the other.
+        // One frame comes from another lens, which the others do not foretell.
         let mut made = simulate(&Recipe::mono(), 3);
         for view in made.dataset.views.iter_mut().filter(|view| view.frame.0 == 7) {
             for observation in &mut view.observations {
                 let [u, v] = observation.pixel.map(|pixel| pixel / 1000.0 - 0.7);
-                observation.pixel[0] += 4.0 * u * v;
-                observation.pixel[1] += 4.0 * u * u;
+                observation.pixel[0] += 40.0 * u * v;
+                observation.pixel[1] += 40.0 * u * u;
             }
         }
         let options = AdjustOptions { rejection: Rejection::None, ..AdjustOptions::default() };

@@ -194,9 +194,11 @@ impl Search<'_> {
                 Err(error) => failure = Some(error),
             }
         }
-        // More points met first, then the smaller misfit.
+        // A pose that meets all points badly must not beat one that meets all but one well, so a point
+        // that is far off costs no more than the cap.
         let kept = |found: &FoundPose| found.2.iter().filter(|kept| **kept).count();
-        found.sort_by(|a, b| kept(b).cmp(&kept(a)).then(a.0.chi2.total_cmp(&b.0.chi2)));
+        let cost = |found: &FoundPose| self.cost(&found.0.cam_from_object);
+        found.sort_by(|a, b| cost(a).total_cmp(&cost(b)).then(kept(b).cmp(&kept(a))));
         let Some(best) = found.first() else {
             return Err(match (failure, last_error) {
                 (Some(failure), _) => failure.into(),

@@ -189,10 +189,10 @@ fn rig(calibration: &Calibration) -> Option<String> {
 pub(crate) fn unseen(held_out: &HeldOut) -> String {
     let HeldOut { folds, frames, rms_px, in_sample_rms_px, ratio, transfer, .. } = held_out;
     let mut text = format!(
-        "{rms_px:.4} px on frames left out of the solve, {in_sample_rms_px:.4} px on those in it: {ratio:.3} times \
-         (per degree of freedom; {}, {})",
+        "{rms_px:.4} px on frames left out of the solve, {in_sample_rms_px:.4} px on those in it: {ratio:.3} times\n        \
+         per degree of freedom, over {}, {}",
         count(*frames, "frame"),
-        if folds == frames { "each alone".to_owned() } else { format!("in {folds} parts") },
+        if folds == frames { "each left out alone".to_owned() } else { format!("in {folds} parts") },
     );
     if let Some(transfer) = transfer {
         text.push_str(&format!(

@@ -177,7 +177,7 @@ mod tests {
     fn overlays_show_corners() {
         let image = GrayImage::new([40, 30], GrayPixels::Sixteen(vec![500; 1200])).unwrap();
         let observation = |point, pixel| Observation { point: PointId(point), pixel, sigma_px: 0.1 };
-        let seen = [observation(0, [10.2, 12.0]), observation(1, [20.0, 12.0]), observation(3, [39.5, 29.9])];
+        let seen = [observation(0, [10.2, 12.0]), observation(1, [20.0, 12.0]), observation(3, [39.2, 29.1])];
         let png = overlay_to_png(&image, &seen, 3).unwrap();
         let shown = image::load_from_memory(&png).unwrap().into_rgb8();
         assert_eq!((shown.get_pixel(10, 10).0, shown.get_pixel(17, 12).0), (COLOURS[0], COLOURS[0]));

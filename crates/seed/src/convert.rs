@@ -268,7 +268,9 @@ mod tests {
     #[test]
     fn models_that_differ_tell_by_how_much() {
         let fisheye = [380.0, 381.0, 795.0, 605.0, -0.01, 0.005, -0.002, 3e-4];
-        check("kannala-brandt4", &fisheye, "double-sphere", 5.0, 1.0);
+        // Corners at 95 degrees; those of the lens above are at 150, where no double sphere follows.
+        let narrower = [600.0, 601.0, 795.0, 605.0, -0.01, 0.005, -0.002, 3e-4];
+        check("kannala-brandt4", &narrower, "double-sphere", 5.0, 1.0);
         check("kannala-brandt4", &fisheye, "splined3", 0.1, 1.0);
         let source = Camera::new("kannala-brandt4".parse().unwrap(), fisheye.to_vec(), [1600, 1200]).unwrap();
         let pinhole = convert(&source, "pinhole".parse().unwrap(), ImpliedRotation::None).unwrap();

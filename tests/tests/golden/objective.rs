@@ -48,7 +48,7 @@ struct State {
 }
 
 fn state(golden: &Npz) -> State {
-    let [core, distortion, extrinsics, frames, warp, _] =
+    let [core, distortion, placement, frames, warp, _] =
         [0, 1, 2, 3, 4, 5].map(|i| golden.numbers("do_optimize")[i] != 0.0);
     let mut parameters = Parameters::default();
     let mut next = 0;
@@ -75,7 +75,7 @@ fn state(golden: &Npz) -> State {
         });
         poses.collect::<Vec<Known>>()
     };
-    let cameras = poses("rt_cam_ref", extrinsics, Kind::Pose, &mut take);
+    let cameras = poses("rt_cam_ref", placement, Kind::Pose, &mut take);
     let boards = poses("rt_ref_frame", frames, Kind::Pose, &mut take);
     let points = poses("points", frames, Kind::Point, &mut take);
     let shape = Known {

@@ -171,7 +171,7 @@ impl Reprojection {
                 gram.add(a, n + k, *entry);
             }
         }
-        gram.add(n + 6, n + 6, cost);
+        gram.add(n + 6, n + 6, self.layout.squares(scratch.gram.sums()));
         Some(cost)
     }
 }

@@ -34,8 +34,8 @@ unlike all others (a corner of the image that only they cover, a blur, a pair of
 images that was not taken at the same time).
 
 How to fix it: add frames, above all where only one or two cover a part of the
-image. Look at the views with the largest residuals and leave out what is blurred
-or out of step. If the ratio stays, take a lens model with fewer parameters.";
+image. Look at the views with the largest residuals and leave out what is
+blurred or out of step. If the ratio stays, take a lens with fewer parameters.";
 
     fn find(case: &Case) -> Vec<Found> {
         let Some(held_out) = &case.calibration.held_out else { return Vec::new() };

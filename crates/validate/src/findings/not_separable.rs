@@ -24,10 +24,10 @@ Their sigmas say so, and where the corners are, projections are good all the
 same. But a parameter taken by itself means little, two calibrations of the same
 camera differ in it, and away from the corners the lens may be far off.
 
-How to fix it: a focal length and a distance are told apart by tilting the board;
-a principal point and the turn of a camera by tilt and by rolling the board by 90
-degrees between views; two cameras' places by boards that both see; distortion
-coefficients by corners near the borders of the image. Otherwise take a lens
+How to fix it: a focal length and a distance are told apart by tilting the
+board; a principal point and the turn of a camera by tilt and by rolling the
+board by 90 degrees between views; two cameras' places by boards that both see;
+distortion coefficients by corners near the borders of the image. Or take a lens
 model with fewer parameters, or hold one of those named.";
 
     fn find(case: &Case) -> Vec<Found> {
