@@ -7,6 +7,7 @@ mod arguments;
 mod bench;
 mod datasets;
 mod hand_eye;
+mod picture;
 mod process;
 mod reference;
 mod robot;
@@ -52,6 +53,12 @@ const COMMANDS: &[Command] = &[
         usage: "[NAME...] [--keep-docs]",
         about: "calibrates the committed datasets and writes the tables of docs/datasets.md",
         run: datasets::run,
+    },
+    Command {
+        name: "picture",
+        usage: "[--program FILE]",
+        about: "draws the picture of the README",
+        run: picture::run,
     },
     Command {
         name: "robot",
