@@ -64,6 +64,17 @@ pub enum Error {
         /// The view.
         view_idx: usize,
     },
+    /// A lens of many parameters is seen through a robot's poses, where its sums have no place yet.
+    #[error(
+        "camera {camera} has a {model} lens, which cannot be adjusted with a robot's poses: take a lens of few \
+         parameters"
+    )]
+    LocalLensOnRobot {
+        /// The camera.
+        camera: CameraId,
+        /// Its lens model.
+        model: &'static str,
+    },
     /// The solver failed.
     #[error(transparent)]
     Solver(#[from] boresight_solver::Error),

@@ -120,6 +120,11 @@ impl RigProblem {
             check_sigmas(view_idx, &view.observations)?;
             let said = dataset.frames[view.frame].base_from_flange;
             let by_robot = self.robot.links(view.frame, said, noise, &mut self.parameters);
+            let model = rig_camera.camera.model;
+            if by_robot.is_some() && model.local_support().is_some() {
+                // Sums of knots with poses are kept for a pose that is eliminated first, and a robot has none.
+                return Err(Error::LocalLensOnRobot { camera: view.camera, model: model.name() });
+            }
             let to_first = match (by_robot, scene.rig_from_target[view.frame]) {
                 (Some(links), _) => links.to_vec(),
                 (None, Some(rig_from_target)) => {
@@ -152,7 +157,6 @@ impl RigProblem {
                 .chain(blocks.first_from_target.map(Link::Block));
             let chain = Chain { links: links.collect() };
             let shape = blocks.shape.map(|block| (block, target.shape.coefficient_count()));
-            let model = rig_camera.camera.model;
             let term =
                 Reprojection::new(model, camera.lens, shape, chain, points, observations, &mut layouts);
             self.views.push((view_idx, term));
