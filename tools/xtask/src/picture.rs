@@ -112,8 +112,8 @@ fn draw(report: &Report, corners: &str) -> String {
         let _ =
             writeln!(svg, "<rect x=\"{x}\" y=\"346\" width=\"3\" height=\"12\" fill=\"{}\"/>", colour(sigma));
     }
-    for sigma in [0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0] {
-        let x = 20.0 + 400.0 * ((sigma / LEAST_PX) as f64).ln() / (MOST_PX / LEAST_PX).ln();
+    for sigma in [0.02_f64, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0] {
+        let x = 20.0 + 400.0 * (sigma / LEAST_PX).ln() / (MOST_PX / LEAST_PX).ln();
         let _ = writeln!(
             svg,
             "<text x=\"{x:.0}\" y=\"374\" text-anchor=\"middle\" font-size=\"12\">{sigma}</text>"
