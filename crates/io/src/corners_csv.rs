@@ -17,7 +17,7 @@ const EXAMPLE: &str = "camera,image,view,point,X,Y,Z,u,v";
 /// How far a coordinate may be from the grid's, in squares.
 const TOLERANCE: f64 = 1e-4;
 
-/// Returns the corners of a dataset as a table `camera,image,view,point,u,v,sigma_px`, as [`read_csv`] reads it.
+/// Returns the corners of a dataset as a table `camera,image,view,point,u,v,sigma_px`, as it is read.
 ///
 /// Pixels and sigmas are rounded to 1e-6 pixels.
 pub fn corners_to_csv(dataset: &Dataset) -> String {

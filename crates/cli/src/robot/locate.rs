@@ -18,7 +18,7 @@ use crate::table::{aligned, row};
 
 #[derive(Args, Debug)]
 pub(crate) struct LocateArguments {
-    /// A folder or job file with a table [locate], or a table of points: name,x_mm,y_mm,z_mm,u_px,v_px
+    /// A folder or job file with a `[locate]` table, or a table of points: name,x_mm,y_mm,z_mm,u_px,v_px
     /// (a point without u_px and v_px is predicted)
     pub input: PathBuf,
     /// The calibration: calibration.json or its folder, a .cameramodel or an OpenCV .yml

@@ -21,7 +21,7 @@ use crate::table::{aligned, row};
 
 #[derive(Args, Debug)]
 pub(crate) struct PlaneArguments {
-    /// A folder or job file with a table [plane], or a table of touches: name,u_px,v_px,x_mm,y_mm,z_mm
+    /// A folder or job file with a `[plane]` table, or a table of touches: name,u_px,v_px,x_mm,y_mm,z_mm
     /// (z may be left out; rx_deg,ry_deg,rz_deg, a rotation vector, make it poses of the flange)
     pub input: PathBuf,
     /// The calibration of the camera, for a map free of distortion

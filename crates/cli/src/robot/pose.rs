@@ -17,7 +17,7 @@ use crate::table::{aligned, row};
 
 #[derive(Args, Debug)]
 pub(crate) struct PoseArguments {
-    /// A folder or job file with a table [pose], or a table of objects: name,u_px,v_px,phi_deg; with
+    /// A folder or job file with a `[pose]` table, or a table of objects: name,u_px,v_px,phi_deg; with
     /// x_mm,y_mm in place of phi_deg, the rows of one name are points of one object
     pub input: PathBuf,
     /// The plane.json that `boresight robot plane` wrote, or its folder
