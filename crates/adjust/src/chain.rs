@@ -30,6 +30,11 @@ impl Chain {
         })
     }
 
+    /// Returns the block, counted along the chain, whose left perturbation is one of the whole chain.
+    pub fn outer_link(&self) -> Option<usize> {
+        matches!(self.links.first(), Some(Link::Block(_))).then_some(0)
+    }
+
     /// Returns `cam_from_target`.
     pub fn compose(&self, values: Values<'_>) -> Pose {
         self.links.iter().fold(Pose::identity(), |prefix, link| prefix * link.pose(values))

@@ -264,6 +264,10 @@ impl CompositeTerm for Reprojection {
         &self.layout
     }
 
+    fn outer_link(&self) -> Option<usize> {
+        self.chain.outer_link()
+    }
+
     fn sum_products(&self, values: Values<'_>, scratch: &mut Scratch) -> Option<Weighed> {
         let (rotation, translation) = self.chain.linearize(values, &mut scratch.links);
         if self.n_rows == 0 {

@@ -26,6 +26,9 @@ pub trait CompositeTerm: Term {
     /// Returns where the products of its columns lie.
     fn columns(&self) -> &Arc<CompositeColumns>;
 
+    /// Returns the link whose map is the identity at any values, if there is one.
+    fn outer_link(&self) -> Option<usize>;
+
     /// Leaves the sums of the products of all rows in `scratch.gram` and the maps of the links in
     /// `scratch.links`, or returns `None` where the term is not defined.
     fn sum_products(&self, values: Values<'_>, scratch: &mut Scratch) -> Option<Weighed>;
@@ -174,8 +177,26 @@ impl CompositeColumns {
     }
 
     /// Returns the number of links of a term with `n_columns` in all.
-    fn link_count(&self, n_columns: usize) -> usize {
+    pub(crate) fn link_count(&self, n_columns: usize) -> usize {
         (n_columns - self.n_own) / POSE_COLUMNS
+    }
+
+    /// Returns the first column of a link among a term's.
+    pub(crate) fn first_column(&self, link: usize) -> usize {
+        self.n_own + POSE_COLUMNS * link
+    }
+
+    /// Returns where a term's column is in the rows of a link.
+    pub(crate) fn place_in_row(&self, column: usize) -> usize {
+        match column.checked_sub(self.n_own) {
+            None => column,
+            Some(column) => self.block(column / POSE_COLUMNS) + column % POSE_COLUMNS,
+        }
+    }
+
+    /// Returns where in the rows of a link its block with `other` begins.
+    fn block(&self, other: usize) -> usize {
+        self.stride() + other * BLOCK_STRIDE
     }
 
     /// Writes `factor` times the rows of the composite pose.
@@ -264,18 +285,17 @@ pub(crate) struct CompositeSums {
     /// Of the products of rows, as they lie, and a zero.
     pub sums: Vec<f64>,
     /// For each link six rows, which have the mapped columns of the composite term and then
-    /// [`BLOCK_STRIDE`] for each link; nothing for an eliminated link.
+    /// [`BLOCK_STRIDE`] for each link; zeros for an eliminated link, and nothing if one is alone.
     pub links: Vec<f64>,
 }
 
 impl CompositeSums {
-    /// Returns the room for terms of `n_columns` in all.
-    pub(crate) fn new(columns: &CompositeColumns, n_columns: usize) -> Self {
-        let n_links = columns.link_count(n_columns);
-        Self {
-            sums: vec![0.0; columns.n_sums + 1],
-            links: vec![0.0; n_links * POSE_COLUMNS * (columns.stride() + n_links * BLOCK_STRIDE)],
-        }
+    /// Returns the room for terms of this kind.
+    pub(crate) fn new(place: &CompositePlace) -> Self {
+        let columns = &place.columns;
+        let n_links = columns.link_count(place.n_columns);
+        let n_link_rows = if place.alone.is_some() { 0 } else { n_links * POSE_COLUMNS };
+        Self { sums: vec![0.0; columns.n_sums + 1], links: vec![0.0; n_link_rows * columns.block(n_links)] }
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -289,29 +309,42 @@ impl CompositeSums {
 
     /// Adds everything to the upper triangle `matrix` over the term's columns without the eliminated ones.
     pub(crate) fn add_to(&self, place: &CompositePlace, matrix: &mut [f64]) {
-        let &CompositePlace { ref columns, n_columns, eliminated } = place;
+        let &CompositePlace { ref columns, n_columns, eliminated, alone } = place;
         let (n_own, n_links) = (columns.n_own, columns.link_count(n_columns));
         let side = n_columns + 1 - eliminated.map_or(0, |_| POSE_COLUMNS);
         let own_place = |column: usize| if column == n_own { side - 1 } else { column };
         columns.each_own(&self.sums, |a, b, sum| matrix[own_place(a) * side + own_place(b)] += sum);
+        let stride = columns.block(n_links);
+        let mut rows_alone = Vec::new();
+        if let Some(link) = alone {
+            // Its rows are the composite pose's.
+            let mut rows = vec![0.0; POSE_COLUMNS * columns.stride()];
+            columns.gather(&self.sums, 1.0, &mut rows);
+            rows_alone.resize(POSE_COLUMNS * stride, 0.0);
+            for (row, into) in rows.chunks_exact(columns.stride()).zip(rows_alone.chunks_exact_mut(stride)) {
+                into[..row.len()].copy_from_slice(row);
+                into[columns.block(link)..][..POSE_COLUMNS]
+                    .copy_from_slice(&row[n_own..n_own + POSE_COLUMNS]);
+            }
+        }
         // The links that are left, and where their columns begin.
-        let first = |link: usize| n_own + POSE_COLUMNS * link;
-        let left = (0..n_links).filter(|&link| Some(first(link)) != eliminated);
-        let left: Vec<(usize, usize)> = left.enumerate().map(|(place, link)| (link, first(place))).collect();
-        let stride = columns.stride() + n_links * BLOCK_STRIDE;
+        let left = (0..n_links).filter(|&link| Some(columns.first_column(link)) != eliminated);
+        let left: Vec<(usize, usize)> =
+            left.enumerate().map(|(place, link)| (link, columns.first_column(place))).collect();
         for (at, &(link, first)) in left.iter().enumerate() {
             for k in 0..POSE_COLUMNS {
-                let row = &self.links[(POSE_COLUMNS * link + k) * stride..][..stride];
+                let row = match alone {
+                    Some(_) => &rows_alone[k * stride..][..stride],
+                    None => &self.links[(POSE_COLUMNS * link + k) * stride..][..stride],
+                };
                 let column = first + k;
                 for (own, entry) in row[..n_own].iter().enumerate() {
                     matrix[own * side + column] += entry;
                 }
                 matrix[column * side + side - 1] += row[columns.residual()];
-                let blocks = row[columns.stride()..].chunks_exact(BLOCK_STRIDE);
-                let blocks: Vec<&[f64]> = blocks.collect();
                 for &(other, other_first) in &left[at..] {
                     for l in (0..POSE_COLUMNS).filter(|&l| other != link || l >= k) {
-                        matrix[column * side + other_first + l] += blocks[other][l];
+                        matrix[column * side + other_first + l] += row[columns.block(other) + l];
                     }
                 }
             }
@@ -321,12 +354,8 @@ impl CompositeSums {
 
 /// Adds a composite term to the sums of its kind and of its group.
 pub(crate) struct AddComposite<'a> {
-    pub columns: &'a CompositeColumns,
+    pub place: &'a CompositePlace,
     pub factor: f64,
-    /// The number of all the term's columns.
-    pub n_columns: usize,
-    /// The first column of the eliminated link.
-    pub eliminated: Option<usize>,
     pub scratch: &'a mut Scratch,
     pub kind: &'a mut CompositeSums,
     pub group: &'a mut GroupSums,
@@ -338,54 +367,49 @@ impl WithSimd for AddComposite<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { columns, factor, n_columns, eliminated, scratch, kind, group, coupling } = self;
+        let Self { place, factor, scratch, kind, group, coupling } = self;
+        let &CompositePlace { ref columns, n_columns, eliminated, alone } = place;
         let Scratch { gram, links, pose_rows, link_rows, .. } = scratch;
         let (stride, n_own) = (columns.stride(), columns.n_own);
-        let n_links = columns.link_count(n_columns);
-        let row_stride = stride + n_links * BLOCK_STRIDE;
+        let row_stride = columns.block(columns.link_count(n_columns));
         // A block is read where the row of its columns may end one number before it.
-        let n_rows = POSE_COLUMNS * stride;
-        pose_rows.resize(n_rows + BLOCK_STRIDE, 0.0);
+        pose_rows.resize(POSE_COLUMNS * stride + BLOCK_STRIDE, 0.0);
         link_rows.resize(POSE_COLUMNS * row_stride + BLOCK_STRIDE, 0.0);
         add_scaled(simd, &mut kind.sums[..columns.n_sums], &gram.sums()[..columns.n_sums], factor);
         columns.gather(gram.sums(), factor, pose_rows);
-        for (link, map) in links.maps().iter().enumerate() {
-            let first = n_own + POSE_COLUMNS * link;
-            for k in 0..POSE_COLUMNS {
-                let row = &mut link_rows[k * row_stride..(k + 1) * row_stride + BLOCK_STRIDE];
-                match map {
-                    None => copy(simd, &mut row[..stride], &pose_rows[k * stride..(k + 1) * stride]),
-                    Some(map) => {
-                        let mut factors = [0.0; POSE_COLUMNS];
-                        for (factor, row) in factors.iter_mut().zip(&map.rows) {
-                            *factor = row[k];
-                        }
-                        combine(simd, &mut row[..stride], pose_rows, stride, factors);
+        for (link, map) in links.maps().iter().enumerate().filter(|(link, _)| alone != Some(*link)) {
+            let is_eliminated = eliminated == Some(columns.first_column(link));
+            match map {
+                None => {
+                    for (row, pose) in
+                        link_rows.chunks_exact_mut(row_stride).zip(pose_rows.chunks_exact(stride))
+                    {
+                        copy(simd, &mut row[..stride], pose);
                     }
                 }
+                Some(map) => map_rows(simd, map, stride, pose_rows, row_stride, link_rows),
             }
             for (other, map) in links.maps().iter().enumerate() {
-                // What an eliminated link has to do with this one stands in its own rows.
-                if eliminated == Some(n_own + POSE_COLUMNS * other) && other != link {
+                // What the eliminated link has to do with another stands in its own rows; of two others,
+                // in those of the first.
+                if other != link
+                    && !is_eliminated
+                    && (other < link || eliminated == Some(columns.first_column(other)))
+                {
                     continue;
                 }
-                for k in 0..POSE_COLUMNS {
-                    let row = &mut link_rows[k * row_stride..(k + 1) * row_stride + BLOCK_STRIDE];
-                    let (row, blocks) = row.split_at_mut(stride);
-                    let block = &mut blocks[other * BLOCK_STRIDE..(other + 1) * BLOCK_STRIDE];
-                    let mut pose = [0.0; POSE_COLUMNS];
-                    pose.copy_from_slice(&row[n_own..n_own + POSE_COLUMNS]);
+                let block = columns.block(other);
+                for row in link_rows[..].chunks_exact_mut(row_stride) {
                     match map {
-                        None => block[..POSE_COLUMNS].copy_from_slice(&pose),
-                        Some(map) => combine(simd, block, map.rows.as_flattened(), BLOCK_STRIDE, pose),
+                        None => row.copy_within(n_own..n_own + POSE_COLUMNS, block),
+                        Some(map) => map_block(simd, map, row, n_own, block),
                     }
                 }
             }
-            if eliminated == Some(first) {
-                for k in 0..POSE_COLUMNS {
-                    let (row, blocks) = link_rows[k * row_stride..(k + 1) * row_stride].split_at(stride);
-                    let own = &blocks[link * BLOCK_STRIDE..];
-                    group.add_row(k, [row, blocks], n_own, own, row[columns.residual()], coupling);
+            if is_eliminated {
+                let own = columns.block(link);
+                for (k, row) in link_rows.chunks_exact(row_stride).enumerate() {
+                    group.add_row(k, row, own, columns.residual(), coupling);
                 }
             } else {
                 let n = POSE_COLUMNS * row_stride;
@@ -414,18 +438,44 @@ fn copy<S: Simd>(_: S, to: &mut [f64], from: &[f64]) {
     to.copy_from_slice(from);
 }
 
-/// Writes the sum of `factors` times six rows, which are `stride` apart and whole registers.
+/// Writes the rows of a link, `row_stride` apart: what its map makes of the composite pose's, `stride` apart.
 #[inline(always)]
-fn combine<S: Simd>(simd: S, sum: &mut [f64], rows: &[f64], stride: usize, factors: [f64; POSE_COLUMNS]) {
-    let (sum, _) = S::as_mut_simd_f64s(sum);
-    for (at, sum) in sum.iter_mut().enumerate() {
-        let mut total = simd.splat_f64s(0.0);
-        for (l, factor) in factors.into_iter().enumerate() {
-            let start = l * stride + at * S::F64_LANES;
-            let row = S::as_simd_f64s(&rows[start..start + S::F64_LANES]).0[0];
-            total = simd.mul_add_f64s(simd.splat_f64s(factor), row, total);
+fn map_rows<S: Simd>(
+    simd: S,
+    map: &LinkMap,
+    stride: usize,
+    pose_rows: &[f64],
+    row_stride: usize,
+    link_rows: &mut [f64],
+) {
+    for at in (0..stride).step_by(S::F64_LANES) {
+        let mut pose = [simd.splat_f64s(0.0); POSE_COLUMNS];
+        for (l, pose) in pose.iter_mut().enumerate() {
+            *pose = S::as_simd_f64s(&pose_rows[l * stride + at..][..S::F64_LANES]).0[0];
         }
-        *sum = total;
+        for (k, row) in link_rows.chunks_exact_mut(row_stride).enumerate().take(POSE_COLUMNS) {
+            let mut sum = simd.splat_f64s(0.0);
+            for (pose, map) in pose.into_iter().zip(&map.rows) {
+                sum = simd.mul_add_f64s(simd.splat_f64s(map[k]), pose, sum);
+            }
+            S::as_mut_simd_f64s(&mut row[at..at + S::F64_LANES]).0[0] = sum;
+        }
+    }
+}
+
+/// Writes the block of a link's row with another link: what that one's map makes of the row's six
+/// columns of the composite pose, which begin at `own`.
+#[inline(always)]
+fn map_block<S: Simd>(simd: S, map: &LinkMap, row: &mut [f64], own: usize, block: usize) {
+    let mut pose = [0.0; POSE_COLUMNS];
+    pose.copy_from_slice(&row[own..own + POSE_COLUMNS]);
+    let (block, _) = S::as_mut_simd_f64s(&mut row[block..block + BLOCK_STRIDE]);
+    for (at, block) in block.iter_mut().enumerate() {
+        let mut sum = simd.splat_f64s(0.0);
+        for (pose, map) in pose.into_iter().zip(&map.rows) {
+            sum = simd.mul_add_f64s(simd.splat_f64s(pose), S::as_simd_f64s(map).0[at], sum);
+        }
+        *block = sum;
     }
 }
 

@@ -4,7 +4,6 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use crate::composite::{AddComposite, CompositeSums, CompositeTerm};
-use crate::lanes::MAX_LANES;
 use crate::local::{Accumulated, EliminatedSums, LocalTerm};
 use crate::problem::{BlockId, GramMut, Problem, Scratch, Term, TermKind, Values};
 use crate::structure::{CouplingRun, HELD, Signature, Structure, TermPlace};
@@ -144,7 +143,7 @@ impl Linearization {
                     }
                     SignatureSums::Composite(sums) if sums.is_empty() => {
                         if let Some(place) = &signature.composite {
-                            *sums = CompositeSums::new(&place.columns, place.n_columns);
+                            *sums = CompositeSums::new(place);
                         }
                     }
                     SignatureSums::Composite(_) => {}
@@ -287,7 +286,8 @@ impl Chunk {
                         self.add_local(local, place, group, values, scratch)
                     }
                     (None, Some(term)) => {
-                        defined(self.add_composite(arch, term, place, group_idx, values, scratch))
+                        let machine = (arch, structure);
+                        defined(self.add_composite(machine, term, place, group_idx, values, scratch))
                     }
                     (None, None) => defined(self.add_plain(term, place, group_idx, values, scratch)),
                 };
@@ -362,7 +362,7 @@ impl Chunk {
                 let row = &self.gram[k * n..(k + 1) * n];
                 for run in &place.coupling {
                     let first = k * n_coupled + run.place;
-                    add(&mut group.coupling[first..first + run.length], &row[run.column..]);
+                    put(run, &mut group.coupling[first..first + run.length], &row[run.column..]);
                 }
             }
         }
@@ -372,7 +372,7 @@ impl Chunk {
     /// The same for a term with a composite pose.
     fn add_composite(
         &mut self,
-        arch: Arch,
+        (arch, structure): (Arch, &Structure),
         term: &dyn CompositeTerm,
         place: &TermPlace,
         group_idx: usize,
@@ -380,12 +380,13 @@ impl Chunk {
         scratch: &mut Scratch,
     ) -> Option<f64> {
         let weighed = term.sum_products(values, scratch)?;
-        if let SignatureSums::Composite(kind) = &mut self.signatures[place.signature] {
+        let signature = &structure.signatures[place.signature].composite;
+        if let (SignatureSums::Composite(kind), Some(signature)) =
+            (&mut self.signatures[place.signature], signature)
+        {
             arch.dispatch(AddComposite {
-                columns: term.columns(),
+                place: signature,
                 factor: weighed.factor,
-                n_columns: place.n_columns,
-                eliminated: place.eliminated.as_ref().map(|columns| columns.start),
                 scratch,
                 kind,
                 group: &mut self.groups[group_idx],
@@ -432,35 +433,28 @@ impl Local<'_> {
 }
 
 impl GroupSums {
+    /// Forgets the last sums; the first term that has a part of the coupling overwrites it.
     fn clear(&mut self) {
         self.own = Default::default();
         self.gradient = Default::default();
-        self.coupling.fill(0.0);
     }
 
-    /// Adds row `k` of the eliminated block: what it has to do with the term's parameters (`parts[0]`),
-    /// with the links of its chain (`parts[1]`, from column `n_own` on), with itself and the residual.
+    /// Adds row `k` of the eliminated block, of which `own` is the place of what it has to do with itself.
     #[inline(always)]
     pub(crate) fn add_row(
         &mut self,
         k: usize,
-        parts: [&[f64]; 2],
-        n_own: usize,
-        own: &[f64],
-        residual: f64,
+        row: &[f64],
+        own: usize,
+        residual: usize,
         runs: &[CouplingRun],
     ) {
         let n_coupled = self.coupling.len() / SIDE;
-        add(&mut self.own[k], &own[..SIDE]);
-        self.gradient[k] += residual;
+        add(&mut self.own[k], &row[own..own + SIDE]);
+        self.gradient[k] += row[residual];
         let coupling = &mut self.coupling[k * n_coupled..(k + 1) * n_coupled];
         for run in runs {
-            let part = match run.column.checked_sub(n_own) {
-                None => &parts[0][run.column..],
-                // Links are a register apart.
-                Some(column) => &parts[1][column / SIDE * MAX_LANES + column % SIDE..],
-            };
-            add(&mut coupling[run.place..run.place + run.length], part);
+            put(run, &mut coupling[run.place..run.place + run.length], &row[run.column..]);
         }
     }
 
@@ -483,10 +477,10 @@ impl GroupSums {
                     // Above the eliminated rows: down their columns.
                     let column = &entries[run.column * n + eliminated.start + k..];
                     for (sum, part) in target.iter_mut().zip(column.iter().step_by(n)) {
-                        *sum += part;
+                        *sum = if run.is_first { *part } else { *sum + part };
                     }
                 } else {
-                    add(target, &entries[(eliminated.start + k) * n + run.column..]);
+                    put(run, target, &entries[(eliminated.start + k) * n + run.column..]);
                 }
             }
         }
@@ -508,6 +502,19 @@ impl GroupSums {
             self.gradient[k] = 0.0;
             self.coupling[k * n_coupled..(k + 1) * n_coupled].fill(0.0);
         }
+    }
+}
+
+/// Writes or adds what a term has to say on a run of columns.
+#[inline(always)]
+fn put(run: &CouplingRun, target: &mut [f64], parts: &[f64]) {
+    if run.is_first {
+        // Runs are short: a loop of known end is quicker than a call.
+        for (target, part) in target.iter_mut().zip(parts) {
+            *target = *part;
+        }
+    } else {
+        add(target, parts);
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::composite::CompositeColumns;
+use crate::composite::{CompositeColumns, CompositeTerm};
 use crate::ordering::{Cliques, Graph, Run};
 use crate::pattern::Pattern;
 use crate::problem::{Elimination, POSE_COLUMNS, Problem, Term};
@@ -89,11 +89,24 @@ pub(crate) struct CompositePlace {
     pub n_columns: usize,
     /// The first column of the eliminated link.
     pub eliminated: Option<usize>,
+    /// The only link that is left, if it moves the composite as it moves itself: what there is to know
+    /// of it stands in the sums of products.
+    pub alone: Option<usize>,
 }
 
 impl CompositePlace {
+    fn new(term: &dyn CompositeTerm, n_columns: usize, eliminated: Option<usize>) -> Self {
+        let columns = term.columns().clone();
+        let n_left = columns.link_count(n_columns) - usize::from(eliminated.is_some());
+        let is_left = |link: &usize| eliminated != Some(columns.first_column(*link));
+        let alone = term.outer_link().filter(|link| n_left == 1 && is_left(link));
+        Self { columns, n_columns, eliminated, alone }
+    }
+
     fn is_like(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.columns, &other.columns) && self.eliminated == other.eliminated
+        Arc::ptr_eq(&self.columns, &other.columns)
+            && (self.n_columns, self.eliminated, self.alone)
+                == (other.n_columns, other.eliminated, other.alone)
     }
 }
 
@@ -117,11 +130,13 @@ pub(crate) struct TermPlace {
 /// Consecutive columns of a block of a term that are consecutive in its group's coupling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct CouplingRun {
-    /// The first, among the term's columns.
+    /// The first, among the term's columns; for a composite term, where it is in a link's row.
     pub column: usize,
     /// Where it is in the coupling.
     pub place: usize,
     pub length: usize,
+    /// Whether no earlier term of the group has these, so that they need not have been cleared.
+    pub is_first: bool,
 }
 
 /// Terms that share an eliminated block.
@@ -305,6 +320,7 @@ impl Structure {
                 columns.sort_unstable();
                 columns.dedup();
             }
+            let mut is_first = vec![true; columns.len()];
             let first_term = self.terms.len();
             for term_idx in term_idxs {
                 let list: Vec<usize> = reduced_blocks(term_idx).collect();
@@ -312,6 +328,10 @@ impl Structure {
                     list.iter().flat_map(|&block| &self.reduced_columns[block]).copied().collect();
                 let support = supports[term_idx].take();
                 let mut coupling: Vec<CouplingRun> = Vec::new();
+                let mut extend = |column: usize, place: usize, is_new: bool| {
+                    let is_first = std::mem::replace(&mut is_first[place], false);
+                    extend(&mut coupling, CouplingRun { column, place, length: 1, is_first }, is_new);
+                };
                 let mut eliminated_columns = None;
                 let mut n_columns = 0;
                 for block in problem.terms[term_idx].blocks() {
@@ -321,7 +341,7 @@ impl Structure {
                     } else if eliminated.is_some() && support.is_none() {
                         for (k, column) in self.reduced_columns[block.0].iter().enumerate() {
                             if let Ok(place) = columns.binary_search(column) {
-                                extend(&mut coupling, n_columns + k, place, k == 0);
+                                extend(n_columns + k, place, k == 0);
                             }
                         }
                     }
@@ -330,15 +350,15 @@ impl Structure {
                 for (k, &column) in support.iter().flatten().enumerate() {
                     let column = signature_columns[column as usize];
                     if let Ok(place) = columns.binary_search(&column) {
-                        extend(&mut coupling, k, place, k == 0);
+                        extend(k, place, k == 0);
                     }
                 }
                 let composite = problem.terms[term_idx].composite().filter(|_| support.is_none());
-                let composite = composite.map(|term| CompositePlace {
-                    columns: term.columns().clone(),
-                    n_columns,
-                    eliminated: eliminated_columns.as_ref().map(|columns| columns.start),
-                });
+                let first_eliminated = eliminated_columns.as_ref().map(|columns| columns.start);
+                let composite = composite.map(|term| CompositePlace::new(term, n_columns, first_eliminated));
+                if let Some(place) = &composite {
+                    coupling.iter_mut().for_each(|run| run.column = place.columns.place_in_row(run.column));
+                }
                 let known = signatures_of.entry(list).or_default();
                 let found = known.iter().copied().find(|&known| {
                     let Signature { composite: known, local, .. } = &self.signatures[known];
@@ -403,13 +423,18 @@ impl Structure {
     }
 }
 
-/// Adds a column to the last run if it continues that and `is_first` of no block, else begins a new one.
-fn extend(runs: &mut Vec<CouplingRun>, column: usize, place: usize, is_first: bool) {
+/// Adds a column to the last run if it continues that and is not the first of a block, else begins a new one.
+fn extend(runs: &mut Vec<CouplingRun>, one: CouplingRun, is_new: bool) {
     match runs.last_mut() {
-        Some(run) if !is_first && run.column + run.length == column && run.place + run.length == place => {
+        Some(run)
+            if !is_new
+                && run.is_first == one.is_first
+                && run.column + run.length == one.column
+                && run.place + run.length == one.place =>
+        {
             run.length += 1;
         }
-        _ => runs.push(CouplingRun { column, place, length: 1 }),
+        _ => runs.push(one),
     }
 }
 
