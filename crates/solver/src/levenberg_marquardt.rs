@@ -135,7 +135,7 @@ impl<'a> LevenbergMarquardt<'a> {
             }
             self.counters.factorizations += 1;
             if steps.factor(structure, model, self.damping, threads) {
-                steps.solve(problem, structure, model, self.damping);
+                steps.solve(problem, structure, model, self.damping, threads);
                 let predicted = steps.predicted_decrease;
                 problem.parameters.retract(values, &steps.step, trial_values);
                 // A heavily damped step predicts little without being near the optimum.

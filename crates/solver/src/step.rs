@@ -28,6 +28,9 @@ struct PartialSum {
     /// The group's coupling after forward substitution, in panels.
     solved: Vec<f64>,
     failed: bool,
+    /// The steps of the eliminated blocks, and what they add to the predicted decrease.
+    steps: Vec<[f64; SIDE]>,
+    decrease: f64,
 }
 
 type Triangle = [[f64; SIDE]; SIDE];
@@ -43,6 +46,8 @@ impl StepSolver {
             gradient: vec![0.0; row_stride(n)],
             solved: Vec::new(),
             failed: false,
+            steps: Vec::new(),
+            decrease: 0.0,
         };
         Self {
             arch: Arch::new(),
@@ -91,6 +96,7 @@ impl StepSolver {
         structure: &Structure,
         model: &Linearization,
         damping: f64,
+        threads: &Threads,
     ) {
         self.reduced.solve();
         let reduced_step = &self.reduced.step;
@@ -105,28 +111,20 @@ impl StepSolver {
                 self.step[structure.first_column[block] + k] = reduced_step[column as usize];
             }
         }
-        for (group, sums) in structure.groups.iter().zip(model.groups()) {
-            let Some(block) = group.eliminated else { continue };
-            let n = group.columns.len();
-            let mut right = sums.gradient;
-            for &(place, column, length) in &group.runs {
-                // Six sums at a time do not wait for each other.
-                for (at, d) in reduced_step[column..column + length].iter().enumerate() {
-                    for (k, right) in right.iter_mut().enumerate() {
-                        *right += sums.coupling[k * n + place + at] * d;
-                    }
-                }
+        let groups: Vec<&GroupSums> = model.groups().collect();
+        let arch = self.arch;
+        threads.for_each(&mut self.partial_sums, |idx, into| {
+            let range = structure.schur_chunks[idx].clone();
+            let (groups, sums) = (&structure.groups[range.clone()], &groups[range]);
+            arch.dispatch(Substitute { problem, groups, sums, reduced_step, damping, into });
+        });
+        for (range, sum) in structure.schur_chunks.iter().zip(&self.partial_sums) {
+            let blocks = structure.groups[range.clone()].iter().filter_map(|group| group.eliminated);
+            for (block, step) in blocks.zip(&sum.steps) {
+                let first = structure.first_column[block];
+                self.step[first..first + SIDE].copy_from_slice(step);
             }
-            let Some(triangle) = cholesky(&damped(sums, damping)) else { continue };
-            forward(&triangle, &mut right);
-            backward(&triangle, &mut right);
-            let first = structure.first_column[block];
-            for (k, right) in right.iter().enumerate() {
-                let held = problem.parameters.blocks[block].held[k];
-                let d = if held { 0.0 } else { -right };
-                self.step[first + k] = d;
-                decrease += d * (damping * damping_diagonal(sums.own[k][k]) * d - sums.gradient[k]);
-            }
+            decrease += sum.decrease;
         }
         self.predicted_decrease = decrease;
     }
@@ -244,6 +242,62 @@ impl WithSimd for Eliminate<'_> {
             add_outer(simd, stride, first, &into.solved, &mut into.matrix);
         }
     }
+}
+
+/// Works out the steps of the eliminated blocks of some groups.
+struct Substitute<'a> {
+    problem: &'a Problem<'a>,
+    groups: &'a [Group],
+    sums: &'a [&'a GroupSums],
+    reduced_step: &'a [f64],
+    damping: f64,
+    into: &'a mut PartialSum,
+}
+
+impl WithSimd for Substitute<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { problem, groups, sums, reduced_step, damping, into } = self;
+        into.steps.clear();
+        into.decrease = 0.0;
+        for (group, sums) in groups.iter().zip(sums) {
+            let Some(block) = group.eliminated else { continue };
+            let n = group.columns.len();
+            let mut right = sums.gradient;
+            for &(place, column, length) in &group.runs {
+                let step = &reduced_step[column..column + length];
+                for (k, right) in right.iter_mut().enumerate() {
+                    *right += dot(simd, &sums.coupling[k * n + place..][..length], step);
+                }
+            }
+            let mut step = [0.0; SIDE];
+            if let Some(triangle) = cholesky(&damped(sums, damping)) {
+                forward(&triangle, &mut right);
+                backward(&triangle, &mut right);
+                for (k, step) in
+                    step.iter_mut().enumerate().filter(|&(k, _)| !problem.parameters.blocks[block].held[k])
+                {
+                    *step = -right[k];
+                    into.decrease +=
+                        *step * (damping * damping_diagonal(sums.own[k][k]) * *step - sums.gradient[k]);
+                }
+            }
+            into.steps.push(step);
+        }
+    }
+}
+
+/// Returns the sum of products.
+#[inline(always)]
+fn dot<S: Simd>(simd: S, a: &[f64], b: &[f64]) -> f64 {
+    let ((a, a_tail), (b, b_tail)) = (S::as_simd_f64s(a), S::as_simd_f64s(b));
+    let mut sum = simd.splat_f64s(0.0);
+    for (&a, &b) in a.iter().zip(b) {
+        sum = simd.mul_add_f64s(a, b, sum);
+    }
+    simd.reduce_sum_f64s(sum) + a_tail.iter().zip(b_tail).map(|(a, b)| a * b).sum::<f64>()
 }
 
 /// Groups whose products are added together, at most; more would not fit into the nearest cache.

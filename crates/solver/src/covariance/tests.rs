@@ -175,7 +175,7 @@ fn steps(problem: &Problem<'_>, rule: SparseRule, threads: &Threads) -> Vec<Vec<
     for damping in [1e-2, 1e-4, 0.0, 0.0] {
         model.evaluate(problem, &structure, &values, threads, &mut Scratch::default()).unwrap();
         assert!(steps.factor(&structure, &model, damping, threads));
-        steps.solve(problem, &structure, &model, damping);
+        steps.solve(problem, &structure, &model, damping, threads);
         let mut moved = Vec::new();
         problem.parameters.retract(&values, &steps.step, &mut moved);
         all.push(moved.clone());
