@@ -8,7 +8,6 @@ pub(crate) struct Answer {
     pub version: String,
     /// Null where the problem is not one for this solver.
     pub cpu_s: Option<f64>,
-    pub wall_s: Option<f64>,
     pub cost: Option<f64>,
     pub iterations: Option<u64>,
     pub evaluations: Option<u64>,
@@ -18,10 +17,14 @@ pub(crate) struct Answer {
     /// What the solver was restricted to, where it was.
     pub frames: Option<u64>,
     pub corners: Option<f64>,
-    /// An evaluation and the step from it.
-    pub ns_per_corner_evaluation: Option<f64>,
-    /// The time that the arithmetic alone would take, over the time taken.
-    pub fraction_of_floor: Option<f64>,
+    /// The least wall time of all solves.
+    pub wall_s_least: Option<f64>,
+    /// The least CPU time of an iteration, setting up not counted.
+    pub iteration_s: Option<f64>,
+    /// The operations that an iteration cannot do without.
+    pub floor_flops: Option<f64>,
+    /// The most operations that the machine did in a second, in the same process.
+    pub peak_flops_per_s: Option<f64>,
     /// Before the first solve, with the problem in memory.
     pub rss_before_solve_kb: Option<f64>,
 }

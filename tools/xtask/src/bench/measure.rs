@@ -10,6 +10,9 @@ use crate::process::{output, shown};
 /// Every process solves its problem as often and reports its median, whoever it is.
 pub(crate) const REPEAT: usize = 3;
 
+/// Where Boresight is measured alone, against the machine, each process solves as often.
+pub(crate) const REPEAT_ALONE: usize = 15;
+
 /// The problem on which two threads are held against one.
 const THREADS_PROBLEM: &str = "8x200";
 
@@ -25,6 +28,8 @@ pub(crate) struct MeasuredProblem {
     pub label: &'static str,
     /// For each solver its answers, a round each; ours first.
     pub solvers: Vec<(&'static str, Vec<Answer>)>,
+    /// Our answers where we are alone, a round each.
+    pub alone: Vec<Answer>,
 }
 
 /// Our answers with one thread and with two, a round each.
@@ -41,6 +46,7 @@ pub(crate) fn measure(solvers: &[Solver], problems: &[Problem], rounds: usize) -
         .map(|problem| MeasuredProblem {
             label: problem.label,
             solvers: solvers.iter().map(|solver| (solver.name, Vec::new())).collect(),
+            alone: Vec::new(),
         })
         .collect();
     let mut threads: Option<Threads> = None;
@@ -49,26 +55,33 @@ pub(crate) fn measure(solvers: &[Solver], problems: &[Problem], rounds: usize) -
             eprintln!("bench: round {} of {rounds}, {}", round + 1, problem.label);
             for (solver, (_, answers)) in solvers.iter().zip(&mut measured.solvers) {
                 if solver.can_solve(problem) && (round == 0 || solver.is_interleaved) {
-                    answers.push(solve(solver, problem, 1, round == 0)?);
+                    answers.push(solve(solver, problem, REPEAT, 1, round == 0)?);
                 }
             }
+            let ours = solvers.first().context("there is no solver")?;
+            measured.alone.push(solve(ours, problem, REPEAT_ALONE, 1, false)?);
             if problem.label == THREADS_PROBLEM {
-                let ours = solvers.first().context("there is no solver")?;
                 let threads = threads.get_or_insert_with(|| Threads {
                     label: problem.label,
                     one: Vec::new(),
                     two: Vec::new(),
                 });
-                threads.one.push(solve(ours, problem, 1, false)?);
-                threads.two.push(solve(ours, problem, 2, false)?);
+                threads.one.push(solve(ours, problem, REPEAT_ALONE, 1, false)?);
+                threads.two.push(solve(ours, problem, REPEAT_ALONE, 2, false)?);
             }
         }
     }
     Ok(Measured { rounds, problems: measured, threads })
 }
 
-fn solve(solver: &Solver, problem: &Problem, threads: usize, first: bool) -> anyhow::Result<Answer> {
-    let mut command = solver.command(problem, REPEAT, threads, first);
+fn solve(
+    solver: &Solver,
+    problem: &Problem,
+    repeat: usize,
+    threads: usize,
+    first: bool,
+) -> anyhow::Result<Answer> {
+    let mut command = solver.command(problem, repeat, threads, first);
     let text = output(&mut command)?;
     let Some(line) = text.lines().rfind(|line| line.starts_with('{')) else {
         bail!("{} printed no line of JSON", shown(&command));

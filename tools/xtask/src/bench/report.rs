@@ -3,7 +3,7 @@
 use std::fs;
 
 use crate::bench::answer::{Answer, median};
-use crate::bench::measure::{Measured, MeasuredProblem, REPEAT, Threads};
+use crate::bench::measure::{Measured, MeasuredProblem, REPEAT, REPEAT_ALONE, Threads};
 use crate::bench::solvers::Missing;
 use crate::table::markdown;
 
@@ -43,7 +43,7 @@ pub(crate) fn report(measured: &Measured, missing: &[Missing], load: &str) -> Re
             let cells = [format!("{}, {}", problem.label, missing.name), "not installed".to_owned()];
             rows.push(cells.into_iter().chain(vec!["-".to_owned(); 5]).collect());
         }
-        ours_rows.extend(own_row(problem.label, ours));
+        ours_rows.extend(own_row(problem));
         let costs: Vec<u64> = ours.iter().filter_map(|answer| answer.cost).map(f64::to_bits).collect();
         if costs.windows(2).any(|pair| pair[0] != pair[1]) {
             differences.push(format!("{}: Boresight's cost differs from run to run", problem.label));
@@ -59,7 +59,8 @@ pub(crate) fn report(measured: &Measured, missing: &[Missing], load: &str) -> Re
             &[
                 "Boresight alone",
                 "iterations",
-                "ns per corner and evaluation",
+                "ns per corner and iteration",
+                "peak GFLOP/s",
                 "of the arithmetic floor",
                 "bytes per corner to solve",
             ],
@@ -80,8 +81,9 @@ fn conditions(rounds: usize, load: &str, versions: &[String]) -> String {
     let cores = std::thread::available_parallelism().map_or(0, |n| n.get());
     format!(
         "{model}, {cores} cores, load average {load} before the start. Rounds: {rounds}, interleaved; each process solves {REPEAT} times\n\
-         from the stored seed and reports its median; the tables show medians over the rounds. One thread\n\
-         unless said otherwise. {}.\n",
+         from the stored seed and reports its median; the first table shows medians over the rounds. The others\n\
+         hold Boresight against the machine: the least times of {REPEAT_ALONE} solves a round, and the machine's best peak,\n\
+         since neighbours on the host slow the two down unequally. One thread unless said otherwise. {}.\n",
         versions.join(", ")
     )
 }
@@ -131,25 +133,32 @@ fn row(
     ]
 }
 
-fn own_row(label: &str, ours: &[Answer]) -> Option<Vec<String>> {
-    let over_rounds = |value: fn(&Answer) -> Option<f64>| {
-        median(ours.iter().filter_map(value).collect()).map_or("-".to_owned(), significant)
-    };
-    let iterations = ours.first()?.iterations.map_or("-".to_owned(), |n| n.to_string());
+fn own_row(problem: &MeasuredProblem) -> Option<Vec<String>> {
+    let first = problem.alone.first()?;
+    let iteration_s = least(problem.alone.iter().map(|answer| answer.iteration_s));
+    let peak = least(problem.alone.iter().map(|answer| Some(-answer.peak_flops_per_s?))).map(|peak| -peak);
+    let fraction = || Some(first.floor_flops? / peak? / iteration_s?);
+    let bytes = median(problem.alone.iter().filter_map(Answer::bytes_per_corner).collect());
+    let cell = |value: Option<f64>| value.map_or("-".to_owned(), significant);
     Some(vec![
-        label.to_owned(),
-        iterations,
-        over_rounds(|answer| answer.ns_per_corner_evaluation),
-        over_rounds(|answer| answer.fraction_of_floor),
-        over_rounds(Answer::bytes_per_corner),
+        problem.label.to_owned(),
+        first.iterations.map_or("-".to_owned(), |n| n.to_string()),
+        cell(iteration_s.zip(first.corners).map(|(s, n)| s * 1e9 / n)),
+        cell(peak.map(|peak| peak * 1e-9)),
+        cell(fraction()),
+        cell(bytes),
     ])
 }
 
+/// Returns the least of the numbers that there are.
+fn least(numbers: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    numbers.flatten().min_by(f64::total_cmp)
+}
+
 fn threads_table(threads: &Threads, differences: &mut Vec<String>) -> String {
-    let wall = |answers: &[Answer]| median(answers.iter().filter_map(|answer| answer.wall_s).collect());
+    let wall = |answers: &[Answer]| least(answers.iter().map(|answer| answer.wall_s_least));
     let cost = |answers: &[Answer]| answers.first().and_then(|answer| answer.cost);
-    let pairs = threads.one.iter().zip(&threads.two);
-    let gain = median(pairs.filter_map(|(one, two)| Some(one.wall_s? / two.wall_s?)).collect());
+    let gain = wall(&threads.one).zip(wall(&threads.two)).map(|(one, two)| one / two);
     let cell = |value: Option<f64>| value.map_or("-".to_owned(), significant);
     let is_same = cost(&threads.one).map(f64::to_bits) == cost(&threads.two).map(f64::to_bits);
     if !is_same {
@@ -181,7 +190,7 @@ mod tests {
     use super::*;
 
     fn answer(cpu_s: f64, cost: f64) -> Answer {
-        Answer { cpu_s: Some(cpu_s), cost: Some(cost), wall_s: Some(cpu_s), ..Answer::default() }
+        Answer { cpu_s: Some(cpu_s), cost: Some(cost), ..Answer::default() }
     }
 
     fn measured(their_cost: f64) -> Measured {
@@ -192,7 +201,7 @@ mod tests {
         let solvers = vec![("Boresight", ours), ("mrcal", theirs)];
         Measured {
             rounds: 3,
-            problems: vec![MeasuredProblem { label: "1x50", solvers }],
+            problems: vec![MeasuredProblem { label: "1x50", solvers, alone: Vec::new() }],
             threads: Some(threads),
         }
     }
