@@ -193,18 +193,16 @@ fn ray_distances(
             return Err(ThreePointError::NotFinite { index });
         }
     }
-    check_triangle(points)?;
-    let side = |i: usize, j: usize| (points[i] - points[j]).norm_squared();
-    let sides = [side(0, 1), side(1, 2), side(2, 0)];
+    let sides = check_triangle(points)?;
     // 1 - cos of the angle between unit vectors, without loss for small angles.
     let versine = |i: usize, j: usize| 0.5 * (rays[i] - rays[j]).norm_squared();
     let versines = [versine(0, 1), versine(1, 2), versine(2, 0)];
     for (k, versine) in versines.iter().enumerate() {
-        let angle_rad = (2.0 * versine).sqrt();
-        if angle_rad < LEAST_ANGLE_RAD {
+        // The square of the angle, so that no root is taken of what passes.
+        if 2.0 * versine < LEAST_ANGLE_RAD * LEAST_ANGLE_RAD {
             return Err(ThreePointError::SameDirection {
                 pair: [k, (k + 1) % 3],
-                angle_rad,
+                angle_rad: (2.0 * versine).sqrt(),
                 limit: LEAST_ANGLE_RAD,
             });
         }
@@ -219,19 +217,25 @@ fn ray_distances(
     Ok((distances(turn.map(|k| versines[k]), turn.map(|k| sides[k])), turn))
 }
 
-fn check_triangle(points: &[Vector3<f64>; 3]) -> Result<(), ThreePointError> {
+/// Returns the squares of the sides 12, 23 and 31, unless the points lie on a line.
+fn check_triangle(points: &[Vector3<f64>; 3]) -> Result<[f64; 3], ThreePointError> {
     let [a, b, c] = [points[1] - points[0], points[2] - points[1], points[0] - points[2]];
-    let longest = a.norm_squared().max(b.norm_squared()).max(c.norm_squared());
-    let ratio = if longest > 0.0 { a.cross(&b).norm() / longest } else { 0.0 };
-    if ratio < LEAST_HEIGHT {
-        return Err(ThreePointError::Collinear { ratio, limit: LEAST_HEIGHT });
+    let sides = [a.norm_squared(), b.norm_squared(), c.norm_squared()];
+    let longest = sides[0].max(sides[1]).max(sides[2]);
+    // Twice the area is the height times the longest side; squares spare the root.
+    let square = a.cross(&b).norm_squared();
+    let least = LEAST_HEIGHT * longest;
+    if longest > 0.0 && square >= least * least {
+        return Ok(sides);
     }
-    Ok(())
+    let ratio = if longest > 0.0 { square.sqrt() / longest } else { 0.0 };
+    Err(ThreePointError::Collinear { ratio, limit: LEAST_HEIGHT })
 }
 
 /// Returns the axes of the frame of a triangle: from the first to the last point, in the plane, and normal to it.
 fn triangle_frame(first: Vector3<f64>, second: Vector3<f64>, third: Vector3<f64>) -> Matrix3<f64> {
-    let x = (third - first).normalize();
-    let z = x.cross(&(second - first)).normalize();
+    let unit = |v: Vector3<f64>| v * (1.0 / v.norm());
+    let x = unit(third - first);
+    let z = unit(x.cross(&(second - first)));
     Matrix3::from_columns(&[x, z.cross(&x), z])
 }

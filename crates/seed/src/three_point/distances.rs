@@ -61,9 +61,10 @@ pub(super) fn distances(versines: [f64; 3], sides: [f64; 3]) -> Found {
                 // The three sides are s² d1² times these.
                 let q = [value(&q12, x, y), value(&q23, x, y), value(&q31, x, y)];
                 let sum = q[0] + q[1] + q[2];
-                let misfit =
-                    (q[0] / sum - a[0]).abs().max((q[1] / sum - a[1]).abs()).max((q[2] / sum - a[2]).abs());
-                let nearest = (total / sum).sqrt() / scale;
+                let inverse = 1.0 / sum;
+                let misfit = [0, 1, 2].map(|k: usize| (q[k] * inverse - a[k]).abs());
+                let misfit = misfit[0].max(misfit[1]).max(misfit[2]);
+                let nearest = (total * inverse).sqrt() / scale;
                 let along = [nearest, nearest * (1.0 + scale * x), nearest * (1.0 + scale * y)];
                 // NaN fails these as well.
                 let is_met = sum > 0.0 && misfit < TOLERANCE && along[1] > 0.0 && along[2] > 0.0;
@@ -156,6 +157,9 @@ fn degenerate_conic(first: &Conic, second: &Conic) -> Option<(Conic, Conic)> {
     Some((degenerate, if gamma.abs() <= 1.0 { leading } else { base }))
 }
 
+/// The cubic that has the value of 2 cos(acos(h) / 3) at 0, 1/2 and 1, and its slope at 0.
+const VIETE: [f64; 4] = [1.7320508075688772, 0.3333333333333333, -0.089274275, 0.023890134];
+
 /// Returns the real root of `t³ + b t² + c t + d` that stands most apart from the others.
 fn isolated_root(b: f64, c: f64, d: f64) -> Option<f64> {
     let shift = b / 3.0;
@@ -168,11 +172,13 @@ fn isolated_root(b: f64, c: f64, d: f64) -> Option<f64> {
         let u = (half + discriminant.sqrt()).cbrt();
         if u > 0.0 { u - third / u } else { 0.0 }
     } else {
+        // Viète's 2 cos(acos(h) / 3) by a cubic that is right to 3e-4, which the steps below mend.
         let root = (-third).sqrt();
-        2.0 * root * ((half / (root * root * root)).min(1.0).acos() / 3.0).cos()
+        let h = (half / (root * root * root)).min(1.0);
+        root * (VIETE[0] + h * (VIETE[1] + h * (VIETE[2] + h * VIETE[3])))
     };
     let mut t = if q > 0.0 { -size } else { size } - shift;
-    for _ in 0..2 {
+    for _ in 0..3 {
         let value = ((t + b) * t + c) * t + d;
         let slope = (3.0 * t + 2.0 * b) * t + c;
         if slope != 0.0 {
@@ -261,14 +267,15 @@ fn polished(first: &Conic, second: &Conic, [mut x, mut y]: [f64; 2]) -> Option<(
         let gradient = |c: &Conic| [c[0] * x + c[1] * y + c[3], c[1] * x + c[2] * y + c[4]];
         let ([a, b], [c, d]) = (gradient(first), gradient(second));
         let determinant = a * d - b * c;
-        let size = a * a + b * b + c * c + d * d;
-        condition = size / determinant.abs();
         if determinant == 0.0 {
+            condition = f64::INFINITY;
             break;
         }
+        let inverse = 1.0 / determinant;
+        condition = (a * a + b * b + c * c + d * d) * inverse.abs();
         // The gradients are half the derivatives.
         let (f, g) = (0.5 * value(first, x, y), 0.5 * value(second, x, y));
-        let (dx, dy) = ((f * d - g * b) / determinant, (g * a - f * c) / determinant);
+        let (dx, dy) = ((f * d - g * b) * inverse, (g * a - f * c) * inverse);
         let step = dx.abs() + dy.abs();
         let reach = 1.0 + x.abs() + y.abs();
         // Steps that no longer shrink are rounding, unless they are still long.
