@@ -2,7 +2,7 @@
 //!
 //! The textbook takes the image plane for parallel to the robot's and the lens for free of distortion: a
 //! similarity of pixels. Here several maps are fitted to any number of touches, with or without the lens,
-//! and the one that best predicts touches that it was not fitted to is taken. With the map come the height
+//! and touches left out of their fits choose among them. With the map come the height
 //! and slopes of the plane, the offset of the touching tip where touches turn enough to show it, and the
 //! joint covariance of all of them with the lens.
 //!
@@ -67,7 +67,7 @@ pub struct TouchOptions {
     pub tip: TipKnowledge,
     /// Whether heights are given.
     pub heights: Heights,
-    /// The model; `None` takes the one that predicts left-out touches best.
+    /// The model; `None` lets left-out touches choose.
     pub model: Option<PlaneModel>,
 }
 
@@ -226,17 +226,46 @@ pub fn touched_plane(
         Some(model) if model.needs_lens() && lens.is_none() => return Err(TouchError::NoLens { model }),
         Some(model) => model,
         None => {
-            let predicted = tried.iter().filter_map(|tried| Some((tried.model, tried.left_out_rms_m?)));
-            let best = predicted.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(model, _)| model);
             // Without any prediction, the simplest that the touches determine.
             let simplest = || tried.iter().find(|tried| tried.rms_m.is_some()).map(|tried| tried.model);
-            best.or_else(simplest).ok_or(TouchError::NoModel { model: None })?
+            chosen_model(&tried, &predictions).or_else(simplest).ok_or(TouchError::NoModel { model: None })?
         }
     };
     let fit = setup.fit(model, &all).ok_or(TouchError::NoModel { model: Some(model) })?;
     let left_out =
         predictions.into_iter().find(|(of, _)| *of == model).map_or(Vec::new(), |(_, found)| found);
     setup.report(model, fit, tried, left_out)
+}
+
+/// What a model predicts of each touch from all others, less where it was touched.
+type Predictions = (PlaneModel, Vec<Option<[f64; 2]>>);
+
+/// Returns the model that predicts left-out touches best; but the pose of the calibrated camera where nothing
+/// predicts them better by more than the standard error of the difference.
+///
+/// Of the models that hold for a true lens the pose has the fewest unknowns. Nine touches tell a model that
+/// errs at once, but hardly two that are both true, and by their chance the worse one would be taken as often
+/// as not: the one-standard-error rule (Breiman, Friedman, Olshen & Stone 1984, section 3.4.3).
+fn chosen_model(tried: &[TriedModel], predictions: &[Predictions]) -> Option<PlaneModel> {
+    let predicted = tried.iter().filter_map(|tried| Some((tried.model, tried.left_out_rms_m?)));
+    let best = predicted.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(model, _)| model)?;
+    let squares_of = |wanted: PlaneModel| -> Option<Vec<f64>> {
+        let (_, errors) = predictions.iter().find(|(model, _)| *model == wanted)?;
+        errors.iter().map(|error| error.map(|[x, y]| x * x + y * y)).collect()
+    };
+    let is_fitted = tried.iter().any(|tried| tried.model == PlaneModel::Pose && tried.rms_m.is_some());
+    let (Some(of_pose), Some(of_best)) =
+        (squares_of(PlaneModel::Pose).filter(|_| is_fitted), squares_of(best))
+    else {
+        return Some(best);
+    };
+    let differences: Vec<f64> = of_pose.iter().zip(&of_best).map(|(pose, best)| pose - best).collect();
+    let n = differences.len() as f64;
+    let mean = differences.iter().sum::<f64>() / n;
+    let square: f64 = differences.iter().map(|difference| (difference - mean).powi(2)).sum();
+    let standard_error = (square / (n * (n - 1.0))).sqrt();
+    // Of one touch nothing is known of the error: NaN keeps the best.
+    Some(if mean <= standard_error { PlaneModel::Pose } else { best })
 }
 
 /// Everything that the fits of all models share.
