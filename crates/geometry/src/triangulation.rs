@@ -9,6 +9,10 @@ pub enum Triangulation {
     Midpoint,
     /// Least squares of the image errors in both planes z = 1: "niter2" of Lindstrom 2010.
     ImageSquares,
+    /// What mrcal 2.2 answers in its place, for comparisons with it. It misses the least squares by more: the
+    /// last step is multiplied by the inverse of its factor, so that the rays do not quite meet, and the
+    /// depth is that of one component. Found from mrcal's answers, which it repeats to rounding.
+    ImageSquaresMrcal22,
     /// The least sum of the angles by which the rays must turn: Lee & Civera 2019a.
     AngleSum,
     /// The least larger one of both angles: Lee & Civera 2019a.
@@ -21,9 +25,10 @@ pub enum Triangulation {
 
 impl Triangulation {
     /// All ways with their names.
-    pub const ALL: [(&'static str, Triangulation); 6] = [
+    pub const ALL: [(&'static str, Triangulation); 7] = [
         ("midpoint", Triangulation::Midpoint),
         ("image-squares", Triangulation::ImageSquares),
+        ("image-squares-mrcal-2.2", Triangulation::ImageSquaresMrcal22),
         ("angle-sum", Triangulation::AngleSum),
         ("largest-angle", Triangulation::LargestAngle),
         ("angular-midpoint", Triangulation::AngularMidpoint),
@@ -53,7 +58,14 @@ pub fn triangulate<T: Scalar>(rays: &RayPair<T>, way: Triangulation) -> Option<[
     let second = rotated(&rays.rotation, rays.ray_in_second);
     match way {
         Triangulation::Midpoint => midpoint(rays.ray_in_first, second, t),
-        Triangulation::ImageSquares => image_squares(rays),
+        Triangulation::ImageSquares => {
+            let [a, b] = corrected(rays, |shorter, longer| longer / shorter)?;
+            meeting(a, b, t)
+        }
+        Triangulation::ImageSquaresMrcal22 => {
+            let [a, b] = corrected(rays, |shorter, longer| shorter / longer)?;
+            meeting_in_one_component(a, b, t)
+        }
         Triangulation::AngleSum => angle_sum(unit(rays.ray_in_first)?, unit(second)?, t),
         Triangulation::LargestAngle => largest_angle(unit(rays.ray_in_first)?, unit(second)?, t),
         Triangulation::AngularMidpoint => angular_midpoint(unit(rays.ray_in_first)?, unit(second)?, t, false),
@@ -78,10 +90,12 @@ fn midpoint<T: Scalar>(a: [T; 3], b: [T; 3], t: [T; 3]) -> Option<[T; 3]> {
     Some(scaled(both, along_a.like(0.5)))
 }
 
-/// Returns the point whose images in both planes z = 1 are nearest to the rays', in two iterations.
+/// Returns the rays that meet at the point whose images in both planes z = 1 are nearest to the rays', in
+/// two iterations; both are in the first frame.
 ///
-/// Listing 3, "niter2", of Lindstrom, "Triangulation made easy", 2010, with its symbols.
-fn image_squares<T: Scalar>(rays: &RayPair<T>) -> Option<[T; 3]> {
+/// Listing 3, "niter2", of Lindstrom, "Triangulation made easy", 2010, with its symbols; the factor of the
+/// second iteration is made of `nᵀn + n'ᵀn'` and `2d`.
+fn corrected<T: Scalar>(rays: &RayPair<T>, factor: impl Fn(T, T) -> T) -> Option<[[T; 3]; 2]> {
     let RayPair { ray_in_first, ray_in_second, rotation, second_in_first: t } = *rays;
     if !(ray_in_first[2].all_above(0.0) && ray_in_second[2].all_above(0.0)) {
         return None;
@@ -111,10 +125,10 @@ fn image_squares<T: Scalar>(rays: &RayPair<T>) -> Option<[T; 3]> {
     let (dx, dy) = ([lambda * n[0], lambda * n[1]], [lambda * m[0], lambda * m[1]]);
     n = [n[0] - (e(0, 0) * dy[0] + e(0, 1) * dy[1]), n[1] - (e(1, 0) * dy[0] + e(1, 1) * dy[1])];
     m = [m[0] - (e(0, 0) * dx[0] + e(1, 0) * dx[1]), m[1] - (e(0, 1) * dx[0] + e(1, 1) * dx[1])];
-    lambda = lambda * d.scale(2.0) / square(n, m);
+    lambda = lambda * factor(square(n, m), d.scale(2.0));
     x = [x[0] - lambda * n[0], x[1] - lambda * n[1], x[2]];
     y = [y[0] - lambda * m[0], y[1] - lambda * m[1], y[2]];
-    meeting(x, rotated(&rotation, y), t)
+    Some([x, rotated(&rotation, y)])
 }
 
 /// Turns the ray that makes the smaller angle with the baseline into the plane of the other.
@@ -168,6 +182,15 @@ fn meeting<T: Scalar>(a: [T; 3], b: [T; 3], t: [T; 3]) -> Option<[T; 3]> {
     }
     let (along_a, along_b) = (dot(z, cross(t, b)) / square, dot(z, cross(t, a)) / square);
     (along_a.all_above(0.0) && along_b.all_above(0.0)).then(|| scaled(a, along_a))
+}
+
+/// Does what [`meeting`] does by one component alone of the rays' cross product, the larger one of x and y;
+/// it differs where they do not quite meet.
+fn meeting_in_one_component<T: Scalar>(a: [T; 3], b: [T; 3], t: [T; 3]) -> Option<[T; 3]> {
+    meeting(a, b, t)?;
+    let (z, across) = (cross(a, b), cross(t, b));
+    let axis = usize::from((z[1] * z[1] - z[0] * z[0]).all_above(0.0));
+    Some(scaled(a, across[axis] / z[axis]))
 }
 
 /// Returns `ray` less its part along the unit `normal`.
