@@ -49,8 +49,8 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
     let mut dataset = select_cameras(&job.dataset, &options.cameras)?;
     for target in dataset.targets.iter_mut() {
         target.shape = match (&target.geometry, options.shape) {
-            (Geometry::Chessboard { .. }, ShapeChoice::Two) => Shape::Parabolic2,
             (Geometry::Points { .. }, _) | (_, ShapeChoice::None) => Shape::Rigid,
+            (_, ShapeChoice::Two) => Shape::Parabolic2,
         };
     }
     let known = known_lenses(job, &dataset);

@@ -17,7 +17,7 @@ use boresight_adjust::{
     leave_one_out, optimize,
 };
 use boresight_data::{
-    Calibration, Dataset, Finding, FrameId, Geometry, Id as _, Mounting, RejectionReason, Robot, Scene,
+    Calibration, Dataset, Finding, FrameId, Id as _, Mounting, RejectionReason, Robot, Scene,
 };
 use boresight_geometry::{Pose, Vector3};
 use boresight_io::{Job, RobotAxes};
@@ -317,8 +317,9 @@ pub(crate) fn corners_of(dataset: &Dataset) -> Vec<Vector3<f64>> {
         corners.extend(all.iter().min_by(by_axis));
         corners.extend(all.iter().max_by(by_axis));
     }
-    if let Geometry::Chessboard { columns, rows, spacing_m } = target.geometry {
-        let (x, y) = (f64::from(columns - 1) * spacing_m, f64::from(rows - 1) * spacing_m);
+    if target.geometry.grid().is_some() {
+        let most = |axis: usize| all.iter().map(|point| point[axis]).fold(0.0, f64::max);
+        let (x, y) = (most(0), most(1));
         corners = vec![
             Vector3::zeros(),
             Vector3::new(x, 0.0, 0.0),

@@ -42,9 +42,9 @@ pub use boresight_adjust::{
 };
 pub use boresight_camera::{Camera, Model};
 pub use boresight_data::{
-    Calibration, CameraFit, CameraId, CameraInfo, Dataset, Finding, Frame, Geometry, HeldOut, Id, Mounting,
-    Observation, PlaneModel, PoseConvention, Provenance, Rejection, RejectionReason, Rig, RigCamera,
-    RobotPlane, Scene, Severity, Shape, Target, View,
+    Calibration, CameraFit, CameraId, CameraInfo, CircleLayout, Dataset, Dictionary, Finding, Frame,
+    Geometry, HeldOut, Id, Mounting, Observation, PlaneModel, PoseConvention, Provenance, Rejection,
+    RejectionReason, Rig, RigCamera, RobotPlane, Scene, Severity, Shape, Target, View,
 };
 pub use boresight_geometry::{Pose, Vector3};
 pub use boresight_io::{

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use boresight::{
-    Geometry, Observation, OutputFile, Target, corners_to_csv, detect_images, load_images, overlay_to_png,
-    read_image, write_files,
+    Observation, OutputFile, Target, corners_to_csv, detect_images, load_images, overlay_to_png, read_image,
+    write_files,
 };
 
 use crate::arguments::DetectArguments;
@@ -81,8 +81,5 @@ fn median_sigma(observations: &[Observation]) -> Option<f64> {
 }
 
 fn columns_of(target: &Target) -> u32 {
-    match target.geometry {
-        Geometry::Chessboard { columns, .. } => columns,
-        Geometry::Points { .. } => 1,
-    }
+    target.geometry.grid().map_or(1, |[columns, _]| columns)
 }

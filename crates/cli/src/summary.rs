@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 
 use boresight::{
-    Calibration, CameraFit, Dataset, Finding, Geometry, HeldOut, Id as _, RejectionReason, RigCamera,
-    Severity, Shape, Target, Verdict, sigma_of,
+    Calibration, CameraFit, CircleLayout, Dataset, Finding, Geometry, HeldOut, Id as _, RejectionReason,
+    RigCamera, Severity, Shape, Target, Verdict, sigma_of,
 };
 
 use crate::figures::{count, significant, to_sigma, with_sigma};
@@ -33,6 +33,24 @@ fn describe(target: &Target) -> String {
     match &target.geometry {
         Geometry::Chessboard { columns, rows, spacing_m } => {
             format!("chessboard, {columns}x{rows} inner corners, {} mm apart", trimmed(1e3 * spacing_m))
+        }
+        Geometry::Charuco { columns, rows, spacing_m, marker_m, dictionary } => {
+            let (square, marker) = (trimmed(1e3 * spacing_m), trimmed(1e3 * marker_m));
+            format!(
+                "ChArUco board, {columns}x{rows} squares of {square} mm, {marker} mm markers of {}",
+                dictionary.name()
+            )
+        }
+        Geometry::AprilGrid { columns, rows, tag_m, spacing, dictionary } => {
+            let (tag, gap) = (trimmed(1e3 * tag_m), trimmed(1e3 * tag_m * spacing));
+            format!("AprilGrid, {columns}x{rows} tags of {tag} mm, {gap} mm apart, of {}", dictionary.name())
+        }
+        Geometry::Circles { columns, rows, spacing_m, layout } => {
+            let kind = match layout {
+                CircleLayout::Symmetric => "symmetric",
+                CircleLayout::Asymmetric => "asymmetric",
+            };
+            format!("{kind} grid of {columns}x{rows} circles, {} mm apart", trimmed(1e3 * spacing_m))
         }
         Geometry::Points { points_m } => format!("of {}", count(points_m.len(), "point")),
     }

@@ -8,6 +8,7 @@
 
 mod calibration;
 mod dataset;
+mod dictionary;
 mod finding;
 mod ids;
 mod image;
@@ -21,6 +22,7 @@ pub use calibration::{
     RejectionReason, SolveRecord, Transfer, Uncertainty, ViewFit,
 };
 pub use dataset::{CameraInfo, Dataset, Frame, Observation, View};
+pub use dictionary::{Dictionary, quarter_turned};
 pub use finding::{Finding, Severity};
 pub use ids::{CameraId, FrameId, Id, IdVec, PointId, TargetId};
 pub use image::{GrayImage, GrayPixels};
@@ -30,4 +32,4 @@ pub use pose_convention::{
 };
 pub use robot_plane::{PlaneLens, PlaneModel, RobotPlane};
 pub use scene::{Mount, Mounting, Rig, RigCamera, Robot, Scene, Stretch, TargetBelief, TargetMount};
-pub use target::{Geometry, Shape, Target};
+pub use target::{CircleLayout, Geometry, Shape, Target};

@@ -3,7 +3,7 @@
 use boresight_geometry::Vector3;
 use serde::{Deserialize, Serialize};
 
-use crate::PointId;
+use crate::{Dictionary, PointId};
 
 /// A calibration target as it was made.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,11 +28,81 @@ pub enum Geometry {
         /// The distance between neighbouring corners in metres.
         spacing_m: f64,
     },
+    /// A chessboard with a marker in each of its white squares. Its points are the inner corners, as on a chessboard
+    /// of one column and one row less.
+    ///
+    /// The square at the origin's far side from the board, its first, is dark on boards of the current pattern; on
+    /// those of OpenCV before 4.6 (legacy) with an even number of rows it is white.
+    Charuco {
+        /// Squares along x.
+        columns: u32,
+        /// Squares along y.
+        rows: u32,
+        /// The side of a square in metres.
+        spacing_m: f64,
+        /// The side of a marker with its black border, in metres.
+        marker_m: f64,
+        /// The dictionary of its markers; their ids increase along x, then along y.
+        dictionary: Dictionary,
+    },
+    /// Kalibr's grid of AprilTags, with small black squares between their corners. x is to the right of the first tag
+    /// and y upwards, so that z is towards who reads it. Its points are the corners of the tags, row by row from
+    /// below: two for each tag in a row.
+    AprilGrid {
+        /// Tags along x.
+        columns: u32,
+        /// Tags along y.
+        rows: u32,
+        /// The side of a tag with its black border, in metres.
+        tag_m: f64,
+        /// The gap between two tags, as a share of the side of a tag.
+        spacing: f64,
+        /// The family of its tags; their ids increase along x, then along y.
+        dictionary: Dictionary,
+    },
+    /// Dark dots in rows. Point `row * columns + column` is the middle of a dot.
+    Circles {
+        /// Dots in a row.
+        columns: u32,
+        /// Rows of dots along y.
+        rows: u32,
+        /// The distance between rows in metres.
+        spacing_m: f64,
+        /// How the rows lie beside each other.
+        layout: CircleLayout,
+    },
     /// Any set of points, in metres.
     Points {
         /// The points in the target's frame.
         points_m: Vec<[f64; 3]>,
     },
+}
+
+/// How rows of dots lie beside each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CircleLayout {
+    /// Dot `column` of each row is at x = `column * spacing_m`.
+    Symmetric,
+    /// Dot `column` of row `row` is at x = `(2 * column + row % 2) * spacing_m`: every other row is shifted.
+    Asymmetric,
+}
+
+impl Geometry {
+    /// Returns columns and rows of the points of a grid, or `None` for a set of points.
+    pub fn grid(&self) -> Option<[u32; 2]> {
+        match *self {
+            Geometry::Chessboard { columns, rows, .. } | Geometry::Circles { columns, rows, .. } => {
+                Some([columns, rows])
+            }
+            Geometry::Charuco { columns, rows, .. } => {
+                Some([columns.saturating_sub(1), rows.saturating_sub(1)])
+            }
+            Geometry::AprilGrid { columns, rows, .. } => {
+                Some([columns.saturating_mul(2), rows.saturating_mul(2)])
+            }
+            Geometry::Points { .. } => None,
+        }
+    }
 }
 
 /// How the real target departs from its drawing.
@@ -59,9 +129,9 @@ impl Shape {
 impl Target {
     /// Returns the number of points.
     pub fn point_count(&self) -> usize {
-        match &self.geometry {
-            Geometry::Chessboard { columns, rows, .. } => *columns as usize * *rows as usize,
-            Geometry::Points { points_m } => points_m.len(),
+        match (&self.geometry, self.geometry.grid()) {
+            (Geometry::Points { points_m }, _) => points_m.len(),
+            (_, grid) => grid.map_or(0, |[columns, rows]| columns as usize * rows as usize),
         }
     }
 
@@ -70,14 +140,35 @@ impl Target {
     /// # Panics
     /// If the target has no such point; a checked [`Dataset`](crate::Dataset) holds none.
     pub fn drawn_point(&self, point: PointId) -> Vector3<f64> {
-        match &self.geometry {
-            Geometry::Chessboard { columns, rows, spacing_m } => {
-                assert!(point.0 < columns * rows, "point {point} is on a {columns}x{rows} grid");
-                let (column, row) = (point.0 % columns, point.0 / columns);
-                Vector3::new(f64::from(column) * spacing_m, f64::from(row) * spacing_m, 0.0)
+        let place = |columns: u32, rows: u32| {
+            assert!(point.0 < columns * rows, "point {point} is on a {columns}x{rows} grid");
+            [point.0 % columns, point.0 / columns]
+        };
+        let [columns, rows] = self.geometry.grid().unwrap_or_default();
+        let (x, y) = match &self.geometry {
+            Geometry::Chessboard { spacing_m, .. } | Geometry::Charuco { spacing_m, .. } => {
+                let [column, row] = place(columns, rows);
+                (f64::from(column) * spacing_m, f64::from(row) * spacing_m)
             }
-            Geometry::Points { points_m } => Vector3::from(points_m[point.0 as usize]),
-        }
+            Geometry::AprilGrid { tag_m, spacing, .. } => {
+                let along = |n: u32| {
+                    let side = f64::from(n % 2);
+                    (f64::from(n / 2) * (1.0 + spacing) + side) * tag_m
+                };
+                let [column, row] = place(columns, rows);
+                (along(column), along(row))
+            }
+            Geometry::Circles { spacing_m, layout, .. } => {
+                let [column, row] = place(columns, rows);
+                let steps = match layout {
+                    CircleLayout::Symmetric => column,
+                    CircleLayout::Asymmetric => 2 * column + row % 2,
+                };
+                (f64::from(steps) * spacing_m, f64::from(row) * spacing_m)
+            }
+            Geometry::Points { points_m } => return Vector3::from(points_m[point.0 as usize]),
+        };
+        Vector3::new(x, y, 0.0)
     }
 
     /// Returns the displacement of `point` along +z by a unit of each shape coefficient.
@@ -90,16 +181,25 @@ impl Target {
             let relative = if extent > 0.0 { position / extent } else { 0.0 };
             4.0 * relative * (1.0 - relative)
         };
-        match &self.geometry {
-            Geometry::Chessboard { columns, rows, .. } => {
+        match (&self.geometry, self.geometry.grid()) {
+            // A grid of one step is measured in steps, others in metres.
+            (Geometry::Chessboard { .. } | Geometry::Charuco { .. }, Some([columns, rows])) => {
                 let (column, row) = (point.0 % columns, point.0 / columns);
                 [
                     across(f64::from(column), f64::from(columns - 1)),
                     across(f64::from(row), f64::from(rows - 1)),
                 ]
             }
+            (Geometry::AprilGrid { .. } | Geometry::Circles { .. }, Some([columns, rows])) => {
+                // Of an asymmetric grid, the rows that are shifted reach furthest.
+                let in_row = |row: u32| self.drawn_point(PointId(row * columns + columns - 1)).x;
+                let end =
+                    [in_row(0).max(in_row(1.min(rows - 1))), self.drawn_point(PointId(columns * rows - 1)).y];
+                let at = self.drawn_point(point);
+                [across(at.x, end[0]), across(at.y, end[1])]
+            }
             // A free set of points has no grid to bow along.
-            Geometry::Points { .. } => [0.0; 2],
+            _ => [0.0; 2],
         }
     }
 
@@ -110,5 +210,55 @@ impl Target {
             position.z += basis * coefficient;
         }
         position
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Id as _;
+
+    fn drawn(geometry: Geometry, point: u32) -> [f64; 2] {
+        let target = Target { name: "board".to_owned(), geometry, shape: Shape::Rigid };
+        let at = target.drawn_point(PointId(point));
+        [at.x, at.y]
+    }
+
+    #[test]
+    fn points_are_where_their_kind_has_them() {
+        let dictionary = Dictionary::APRILTAG_36H11;
+        let charuco = Geometry::Charuco { columns: 5, rows: 4, spacing_m: 0.5, marker_m: 0.3, dictionary };
+        assert_eq!((charuco.grid(), drawn(charuco, 6)), (Some([4, 3]), [1.0, 0.5]));
+        let tags = Geometry::AprilGrid { columns: 3, rows: 2, tag_m: 2.0, spacing: 0.25, dictionary };
+        assert_eq!((tags.grid(), drawn(tags.clone(), 6 + 3)), (Some([6, 4]), [4.5, 2.0]));
+        assert_eq!(drawn(tags, 12), [0.0, 2.5]);
+        let circles = |layout| Geometry::Circles { columns: 4, rows: 11, spacing_m: 1.0, layout };
+        assert_eq!(drawn(circles(CircleLayout::Symmetric), 5), [1.0, 1.0]);
+        assert_eq!(drawn(circles(CircleLayout::Asymmetric), 5), [3.0, 1.0]);
+        assert_eq!(drawn(circles(CircleLayout::Asymmetric), 9), [2.0, 2.0]);
+    }
+
+    #[test]
+    fn boards_bow_between_their_outermost_points() {
+        let dictionary = Dictionary::APRILTAG_36H11;
+        let geometries = [
+            Geometry::Chessboard { columns: 5, rows: 5, spacing_m: 1.0 },
+            Geometry::Charuco { columns: 6, rows: 6, spacing_m: 1.0, marker_m: 0.5, dictionary },
+            Geometry::AprilGrid { columns: 3, rows: 3, tag_m: 1.0, spacing: 0.3, dictionary },
+            Geometry::Circles { columns: 4, rows: 5, spacing_m: 1.0, layout: CircleLayout::Asymmetric },
+        ];
+        for geometry in geometries {
+            let target = Target { name: "board".to_owned(), geometry, shape: Shape::Parabolic2 };
+            let bases: Vec<[f64; 2]> =
+                (0..target.point_count()).map(|i| target.shape_basis(PointId::from_index(i))).collect();
+            for axis in 0..2 {
+                let most = bases.iter().map(|basis| basis[axis]).fold(0.0, f64::max);
+                assert!(
+                    bases.iter().any(|basis| basis[axis] == 0.0) && (0.9..=1.0).contains(&most),
+                    "{target:?}"
+                );
+            }
+            assert_eq!(bases[0], [0.0; 2]);
+        }
     }
 }

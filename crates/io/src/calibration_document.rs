@@ -103,7 +103,17 @@ pub(crate) struct TargetDocument {
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub(crate) enum GeometryDocument {
     Chessboard { columns: u32, rows: u32, spacing_m: f64 },
+    Charuco { columns: u32, rows: u32, spacing_m: f64, marker_m: f64, dictionary: String },
+    AprilGrid { columns: u32, rows: u32, tag_m: f64, spacing: f64, dictionary: String },
+    Circles { columns: u32, rows: u32, spacing_m: f64, layout: LayoutDocument },
     Points { points_m: Vec<[f64; 3]> },
+}
+
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum LayoutDocument {
+    Symmetric,
+    Asymmetric,
 }
 
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]

@@ -6,7 +6,7 @@
 
 use boresight_camera::{Camera, Model};
 use boresight_data::{
-    Calibration, CameraFit, Finding, Geometry, IdVec, Motions, Mount, PointId, Regularization, Rejection,
+    Calibration, CameraFit, Finding, IdVec, Motions, Mount, PointId, Regularization, Rejection,
     RejectionReason, Rig, RigCamera, Robot, Scene, Shape, SolveRecord, Stretch, Target, TargetBelief,
     TargetMount, Uncertainty, ViewFit,
 };
@@ -14,14 +14,14 @@ use boresight_geometry::{Matrix3, Pose, UnitQuaternion, Vector3, nalgebra::Quate
 use serde::Deserialize;
 
 use crate::calibration_document::{
-    CameraDocument, CovarianceDocument, Document, Estimate, FrameDocument, GeometryDocument, MotionsDocument,
-    MountDocument, Number, Param, Params, PoseDocument, ReasonDocument, RegularizationDocument,
-    RejectionDocument, RobotDocument, ShapeDocument, SolveDocument, StretchDocument, TargetDocument,
-    TargetMountDocument, TargetSummary, ViewDocument,
+    CameraDocument, CovarianceDocument, Document, Estimate, FrameDocument, MotionsDocument, MountDocument,
+    Number, Param, Params, PoseDocument, ReasonDocument, RegularizationDocument, RejectionDocument,
+    RobotDocument, ShapeDocument, SolveDocument, StretchDocument, TargetDocument, TargetMountDocument,
+    TargetSummary, ViewDocument,
 };
 use crate::format::{NamedCamera, NamedCovariance, OutputFile, calibrated, holds};
 use crate::json_text::to_json;
-use crate::{Error, Place};
+use crate::{Error, Place, geometry_document};
 
 /// The schema of the calibration files that are written and read.
 pub const CALIBRATION_SCHEMA: &str = "boresight.calibration/1";
@@ -357,18 +357,7 @@ fn write_target(target: &Target, belief: &TargetBelief) -> Result<TargetDocument
     for value in &belief.shape_m {
         finite(*value, || format!("the shape of {}", target.name))?;
     }
-    let geometry = match &target.geometry {
-        Geometry::Chessboard { columns, rows, spacing_m } => {
-            finite(*spacing_m, || format!("the spacing of {}", target.name))?;
-            GeometryDocument::Chessboard { columns: *columns, rows: *rows, spacing_m: *spacing_m }
-        }
-        Geometry::Points { points_m } => {
-            for value in points_m.iter().flatten() {
-                finite(*value, || format!("a point of {}", target.name))?;
-            }
-            GeometryDocument::Points { points_m: points_m.clone() }
-        }
-    };
+    let geometry = geometry_document::write(target)?;
     Ok(TargetDocument {
         name: target.name.clone(),
         geometry,
@@ -490,21 +479,8 @@ impl Reader<'_> {
     }
 
     fn target(&self, i: usize, document: TargetDocument) -> Result<(Target, TargetBelief), Error> {
-        let geometry = match document.geometry {
-            GeometryDocument::Chessboard { columns, rows, spacing_m } => {
-                let corners = u64::from(columns) * u64::from(rows);
-                if columns == 0 || rows == 0 || corners > crate::seen::LIMIT as u64 || spacing_m <= 0.0 {
-                    let value = format!("{columns}x{rows} at {spacing_m} m");
-                    return Err(self.bad(
-                        format!("targets[{i}].geometry"),
-                        value,
-                        "a grid has corners and a spacing",
-                    ));
-                }
-                Geometry::Chessboard { columns, rows, spacing_m }
-            }
-            GeometryDocument::Points { points_m } => Geometry::Points { points_m },
-        };
+        let geometry = geometry_document::read(document.geometry)
+            .map_err(|(value, need)| self.bad(format!("targets[{i}].geometry"), value, need))?;
         let shape = match document.shape {
             ShapeDocument::Rigid => Shape::Rigid,
             ShapeDocument::Parabolic2 => Shape::Parabolic2,

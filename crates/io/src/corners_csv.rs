@@ -136,10 +136,7 @@ pub(crate) fn read_csv(file: &str, bytes: &[u8], target: &Target, sigma_px: f64)
                 point: point.0,
                 value: position[axis],
                 expected,
-                grid: match geometry {
-                    Geometry::Chessboard { columns, rows, .. } => [*columns, *rows],
-                    Geometry::Points { points_m } => [points_m.len() as u32, 1],
-                },
+                grid: geometry.grid().unwrap_or([target.point_count() as u32, 1]),
                 file_grid: matches!(geometry, Geometry::Chessboard { .. })
                     .then(|| extent(bytes, &columns))
                     .flatten(),
@@ -322,11 +319,13 @@ fn bytes_before(bytes: &[u8], cursor: &Cursor<'_>) -> Option<u8> {
 /// Returns the first axis on which a position, where given, is not the target's, and what it is there.
 #[inline]
 fn disagreement(target: &Target, point: PointId, position: [f64; 3]) -> Option<(usize, f64)> {
-    let expected = match &target.geometry {
-        Geometry::Chessboard { columns, .. } => {
+    let expected = match (&target.geometry, target.geometry.grid()) {
+        (Geometry::Points { points_m }, _) => points_m[point.index()],
+        // Corners of squares are counted, other points are in metres.
+        (Geometry::Chessboard { .. } | Geometry::Charuco { .. }, Some([columns, _])) => {
             [f64::from(point.0 % columns), f64::from(point.0 / columns), 0.0]
         }
-        Geometry::Points { points_m } => points_m[point.index()],
+        _ => target.drawn_point(point).into(),
     };
     (0..3)
         .find(|&axis| (position[axis] - expected[axis]).abs() > TOLERANCE)

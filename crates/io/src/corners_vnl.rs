@@ -5,7 +5,7 @@
 //! last column means: a level `l` is a corner found at half the resolution `l` times, with a sigma
 //! of `2^l` times the base; a weight `w` divides the base sigma.
 
-use boresight_data::{Geometry, Observation, PointId, Target};
+use boresight_data::{Observation, PointId, Target};
 
 use crate::cursor::{Cursor, shown};
 use crate::seen::{LIMIT, SeenFile, SeenView, is_missing};
@@ -157,15 +157,15 @@ impl<'a> Images<'a> {
         let points = self.target.point_count();
         let without_board = self.n_lines == 1 && self.observations.is_empty();
         if self.n_lines != points && !without_board {
-            return Err(match self.target.geometry {
-                Geometry::Chessboard { columns, rows, .. } => Error::CornerCount {
+            return Err(match self.target.geometry.grid() {
+                Some(grid) => Error::CornerCount {
                     place: place(),
                     image: name.to_owned(),
                     found: self.n_lines,
-                    grid: [columns, rows],
+                    grid,
                     others_fit: self.done.iter().any(|view| !view.observations.is_empty()),
                 },
-                Geometry::Points { .. } => Error::Malformed {
+                None => Error::Malformed {
                     place: place(),
                     found: format!("image {name} has {} corners, the target {points} points", self.n_lines),
                     need: "a vnl file has a line for every point of the target, in their order",
@@ -248,7 +248,7 @@ fn bad_value(place: Place, column: Column, token: &[u8]) -> Error {
 
 #[cfg(test)]
 mod tests {
-    use boresight_data::Shape;
+    use boresight_data::{Geometry, Shape};
 
     use super::*;
 

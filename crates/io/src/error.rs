@@ -430,7 +430,7 @@ impl Error {
             ),
             Error::Config { fix, .. } => fix.clone(),
             Error::TargetSpec { .. } => text(
-                "write chessboard:COLUMNSxROWS:SPACING with inner corners and a unit, such as chessboard:9x6:25mm",
+                "write chessboard:9x6:25mm (inner corners), charuco:14x9:40mm:30mm:5x5_1000 (squares, side of square and marker, dictionary), aprilgrid:6x6:88mm:0.3 (tags, side, gap as a share), circles:7x6:20mm or acircles:4x11:20mm",
             ),
             Error::Schema { .. } => text("a newer Boresight wrote it; read it with that, or update"),
             Error::NothingDetected { seen: Some([columns, rows]), .. } => {

@@ -265,6 +265,17 @@ fn read_target(
             let file = file.clone().ok_or_else(|| wrong(at(table.span()), message, Some(fix)))?;
             Ok(TargetDescription::Points(file))
         }
+        // Any target can be written as on the command line.
+        spec if spec.contains(':') => {
+            let given = [columns.is_some(), rows.is_some(), spacing_m.is_some(), file.is_some()];
+            let names = ["columns", "rows", "spacing_m", "file"];
+            if let Some((name, _)) = names.iter().zip(given).find(|(_, given)| *given) {
+                return surplus(name);
+            }
+            let target = crate::parse_target(spec)
+                .map_err(|error| wrong(at(kind.span()), &error.to_string(), error.hint().as_deref()))?;
+            Ok(TargetDescription::Here(target))
+        }
         other => {
             let known = ["chessboard", "points"];
             let message = format!("there is no target kind `{other}`; known: {}", known.join(", "));

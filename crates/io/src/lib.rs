@@ -20,6 +20,7 @@ mod cursor;
 mod error;
 mod file_storage;
 mod format;
+mod geometry_document;
 mod h_matrix;
 mod image_files;
 mod image_job;

@@ -101,8 +101,12 @@ fn one_camera(calibration: &Calibration, name: &str, camera: &Camera) -> String 
     }
     text.push_str(&image_size(camera));
     let boards = calibration.targets.iter().filter_map(|target| match target.geometry {
-        Geometry::Chessboard { columns, rows, spacing_m } => Some((columns, rows, spacing_m)),
-        Geometry::Points { .. } => None,
+        Geometry::Chessboard { spacing_m, .. }
+        | Geometry::Charuco { spacing_m, .. }
+        | Geometry::Circles { spacing_m, .. } => {
+            target.geometry.grid().map(|[columns, rows]| (columns, rows, spacing_m))
+        }
+        Geometry::AprilGrid { .. } | Geometry::Points { .. } => None,
     });
     for (columns, rows, spacing_m) in boards.take(1) {
         text.push_str(&format!(

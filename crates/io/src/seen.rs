@@ -37,6 +37,13 @@ pub(crate) struct SeenView {
 pub(crate) fn describe(target: &Target) -> String {
     match &target.geometry {
         Geometry::Chessboard { columns, rows, .. } => format!("{columns}x{rows} inner corners"),
+        Geometry::Charuco { columns, rows, dictionary, .. } => {
+            format!("{columns}x{rows} squares with markers of {}", dictionary.name())
+        }
+        Geometry::AprilGrid { columns, rows, dictionary, .. } => {
+            format!("{columns}x{rows} tags of {}", dictionary.name())
+        }
+        Geometry::Circles { columns, rows, .. } => format!("{columns}x{rows} circles"),
         Geometry::Points { points_m } => format!("{} points", points_m.len()),
     }
 }

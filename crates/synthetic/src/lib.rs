@@ -6,12 +6,14 @@
 //!
 //! Architecture invariant: nothing here estimates anything, and nothing is random without a seed.
 
+mod drawing;
 mod lenses;
 mod place;
 mod recipe;
 mod render;
 mod simulate;
 
+pub use drawing::{FirstSquare, Print};
 pub use recipe::{Outliers, PlacedCamera, Placement, Recipe};
 pub use render::{Depth, Exposure, render};
 mod robot;

@@ -1,11 +1,13 @@
 //! Images of a target through any lens, with the blur, vignetting and noise of a camera.
 
 use boresight_camera::Camera;
-use boresight_data::{Geometry, GrayImage, GrayPixels, Shape, Target};
+use boresight_data::{GrayImage, GrayPixels, Shape, Target};
 use boresight_geometry::{Pose, Vector3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+
+use crate::drawing::{Drawing, Print};
 
 /// How a scene becomes grey values.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,7 +18,7 @@ pub struct Exposure {
     pub white: f64,
     /// The grey value beyond the target.
     pub background: f64,
-    /// The width of the white margin around the squares, in squares.
+    /// The width of the white margin around what is printed, in squares, tags or distances of dots.
     pub margin_squares: f64,
     /// The standard deviation of the lens's Gaussian blur in pixels, beyond that of the pixels' own area. Zero is off.
     pub blur_px: f64,
@@ -26,6 +28,8 @@ pub struct Exposure {
     pub noise: f64,
     /// Whether grey values are stored in eight or in sixteen bits.
     pub depth: Depth,
+    /// What the target's geometry leaves open about its print.
+    pub print: Print,
 }
 
 /// How many bits a grey value has.
@@ -48,6 +52,7 @@ impl Default for Exposure {
             vignetting: 0.2,
             noise: 2.0,
             depth: Depth::Eight,
+            print: Print::default(),
         }
     }
 }
@@ -102,32 +107,30 @@ pub fn render(
     GrayImage::new(camera.image_size, pixels)
 }
 
-/// A chessboard in units of its squares, with the origin at the first inner corner.
+/// A target in units of its drawing.
 struct Board<'a> {
-    columns: f64,
-    rows: f64,
-    spacing_m: f64,
+    drawing: Drawing,
     shape_m: [f64; 2],
     exposure: &'a Exposure,
 }
 
 impl<'a> Board<'a> {
     fn new(target: &Target, shape_m: &[f64], exposure: &'a Exposure) -> Option<Self> {
-        let Geometry::Chessboard { columns, rows, spacing_m } = target.geometry else { return None };
+        let drawing = Drawing::new(target, &exposure.print)?;
         let bend = |i: usize| shape_m.get(i).copied().unwrap_or(0.0);
         let shape_m = match target.shape {
             Shape::Parabolic2 => [bend(0), bend(1)],
             Shape::Rigid => [0.0; 2],
         };
-        Some(Self { columns: f64::from(columns), rows: f64::from(rows), spacing_m, shape_m, exposure })
+        Some(Self { drawing, shape_m, exposure })
     }
 
-    /// Returns where a ray meets the front of the board, in squares.
+    /// Returns where a ray meets the front of the board, in units of the drawing.
     fn seen_along(&self, target_from_cam: &Pose, ray: &Vector3<f64>) -> Option<[f64; 2]> {
         let direction = target_from_cam.rotation * ray;
         let origin = target_from_cam.translation;
-        // The front is where z is negative.
-        if direction.z <= 1e-9 {
+        // Whoever sees the front looks against its normal.
+        if -self.drawing.front * direction.z <= 1e-9 {
             return None;
         }
         let mut met = [0.0; 2];
@@ -139,13 +142,12 @@ impl<'a> Board<'a> {
                 return None;
             }
             let point = origin + direction * length;
-            met = [point.x / self.spacing_m, point.y / self.spacing_m];
-            let across = |position: f64, count: f64| {
-                let relative = position / (count - 1.0);
+            met = [point.x / self.drawing.unit_m, point.y / self.drawing.unit_m];
+            let across = |axis: usize| {
+                let relative = met[axis] / self.drawing.extent[axis];
                 4.0 * relative * (1.0 - relative)
             };
-            z_m =
-                self.shape_m[0] * across(met[0], self.columns) + self.shape_m[1] * across(met[1], self.rows);
+            z_m = self.shape_m[0] * across(0) + self.shape_m[1] * across(1);
         }
         Some(met)
     }
@@ -154,12 +156,13 @@ impl<'a> Board<'a> {
     fn mean_over_pixel(&self, here: [f64; 2], du: [f64; 2], dv: [f64; 2]) -> f64 {
         const SAMPLES: usize = 12;
         let reach = [0, 1].map(|axis| 0.5 * (du[axis].abs() + dv[axis].abs()) + 1e-9);
-        // All edges are at whole numbers or at the rim of the margin.
-        let margin = 1.0 + self.exposure.margin_squares;
-        let is_plain = [(0, self.columns), (1, self.rows)].iter().all(|&(axis, count)| {
-            let apart = |edge: f64| (here[axis] - edge).abs() > reach[axis];
-            apart(here[axis].round()) && apart(-margin) && apart(count - 1.0 + margin)
-        });
+        // The pixel may touch the rim of the print or of the margin.
+        let near_rim = |width: f64| {
+            let most = reach[0].max(reach[1]);
+            self.drawing.is_beyond(here, width - most) != self.drawing.is_beyond(here, width + most)
+        };
+        let is_plain =
+            self.drawing.is_plain(here, reach) && !near_rim(0.0) && !near_rim(self.exposure.margin_squares);
         if is_plain {
             return self.value_at(here);
         }
@@ -173,17 +176,14 @@ impl<'a> Board<'a> {
         sum / (SAMPLES * SAMPLES) as f64
     }
 
-    /// Returns the grey value at a place on the board. The square right below the first inner corner is black.
-    fn value_at(&self, [x, y]: [f64; 2]) -> f64 {
-        let beyond = |width: f64| {
-            x < -width || y < -width || x > self.columns - 1.0 + width || y > self.rows - 1.0 + width
-        };
-        if beyond(1.0 + self.exposure.margin_squares) {
+    /// Returns the grey value at a place on the board.
+    fn value_at(&self, at: [f64; 2]) -> f64 {
+        if self.drawing.is_beyond(at, self.exposure.margin_squares) {
             self.exposure.background
-        } else if beyond(1.0) || (x.floor() + y.floor()).rem_euclid(2.0) != 0.0 {
-            self.exposure.white
-        } else {
+        } else if self.drawing.is_ink(at) {
             self.exposure.black
+        } else {
+            self.exposure.white
         }
     }
 }
@@ -218,6 +218,7 @@ fn blur(grey: &mut [f64], width: usize, height: usize, sigma_px: f64) {
 #[cfg(test)]
 mod tests {
     use boresight_camera::Model;
+    use boresight_data::Geometry;
 
     use super::*;
 

@@ -122,8 +122,8 @@ impl<'a> Case<'a> {
 /// Returns the normal of a flat target in its own frame, or `None` if its points do not lie in a plane.
 pub(super) fn normal_in_target(target: &Target) -> Option<Vector3<f64>> {
     let points_m = match &target.geometry {
-        Geometry::Chessboard { .. } => return Some(Vector3::z()),
         Geometry::Points { points_m } => points_m,
+        _ => return Some(Vector3::z()),
     };
     let points: Vec<Vector3<f64>> = points_m.iter().map(|&point| Vector3::from(point)).collect();
     let mean = points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64;
