@@ -8,7 +8,7 @@ use boresight_data::{Geometry, GrayImage, Observation, PointId, Target};
 
 use crate::detection::{Detection, Missed};
 use crate::grid::Grid;
-use crate::lattice::{Corner, Lattice, find_lattices};
+use crate::lattice::{ASIDE, Corner, Lattice, find_lattices};
 use crate::placement::{Placement, Unplaced, place};
 use crate::plane::Plane;
 use crate::saddles::find_saddles;
@@ -20,7 +20,7 @@ const LEAST_SIDE: usize = 40;
 /// The lattices of an image that are looked at closely.
 const MOST_LATTICES: usize = 4;
 /// The least contrast of a corner, as a share of the range of the image.
-const CONTRAST_SHARE: f64 = 0.04;
+pub(crate) const CONTRAST_SHARE: f64 = 0.04;
 /// The fewest corners that are believed to be a board.
 const FEWEST: usize = 8;
 
@@ -58,7 +58,7 @@ fn detect_at(image: &GrayImage, planes: &Planes, level: usize, board: [i32; 2]) 
     let least_contrast = CONTRAST_SHARE * f64::from(high - low).max(1.0);
     let saddles = find_saddles(&smooth, least_contrast);
     let mut best = Detection::missed(Missed::NoBoard);
-    for lattice in find_lattices(&saddles, &smooth).iter().take(MOST_LATTICES) {
+    for lattice in find_lattices(&saddles, &smooth, ASIDE).iter().take(MOST_LATTICES) {
         if lattice.corners.len() < FEWEST / 2 {
             continue;
         }
@@ -80,7 +80,9 @@ fn label(grid: &Grid, smooth: &Plane, scale: f64, board: [i32; 2]) -> Detection 
     }
     let found = grid.corners.len();
     match place(grid, board, smooth, scale) {
-        Ok(placement) => Detection { observations: observations(grid, placement, board[0]), missed: None },
+        Ok(placement) => {
+            Detection { observations: observations(grid, placement, board[0]), missed: None, pattern: None }
+        }
         Err(Unplaced::OtherSize([columns, rows])) => {
             let (columns, rows) = (columns as u32, rows as u32);
             Detection::missed(Missed::OtherSize { columns: columns.max(rows), rows: columns.min(rows) })
@@ -112,7 +114,7 @@ fn observations(grid: &Grid, placement: Placement, columns: i32) -> Vec<Observat
 }
 
 /// Returns a lattice found at 1/`scale` of the image's size in pixels of the image.
-fn at_full_size(lattice: &Lattice, scale: f64) -> Lattice {
+pub(crate) fn at_full_size(lattice: &Lattice, scale: f64) -> Lattice {
     let corner = |corner: &Corner| Corner { pixel: corner.pixel.map(|c| (c + 0.5) * scale - 0.5), ..*corner };
     Lattice {
         corners: lattice.corners.iter().map(|(at, found)| (*at, corner(found))).collect(),
@@ -121,13 +123,13 @@ fn at_full_size(lattice: &Lattice, scale: f64) -> Lattice {
 }
 
 /// The image at full size, half, a quarter and so on.
-struct Planes {
+pub(crate) struct Planes {
     halves: Vec<Plane>,
     first: usize,
 }
 
 impl Planes {
-    fn of(image: &GrayImage) -> Self {
+    pub fn of(image: &GrayImage) -> Self {
         let mut halves: Vec<Plane> = Vec::new();
         let [width, height] = image.size().map(|side| side as usize);
         let mut pixels = width * height;
@@ -156,11 +158,11 @@ impl Planes {
     }
 
     /// Returns the scales in the order in which they are tried: the first, the finer ones, the coarser ones.
-    fn order(&self) -> impl Iterator<Item = usize> + use<> {
+    pub fn order(&self) -> impl Iterator<Item = usize> + use<> {
         (0..=self.first).rev().chain(self.first + 1..=self.halves.len())
     }
 
-    fn at(&self, image: &GrayImage, level: usize) -> Plane {
+    pub fn at(&self, image: &GrayImage, level: usize) -> Plane {
         match level.checked_sub(1).and_then(|i| self.halves.get(i)) {
             Some(plane) => plane.clone(),
             None => Plane::of(image),

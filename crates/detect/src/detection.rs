@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use boresight_data::Observation;
+use boresight_data::{Dictionary, Observation};
 
 /// The points seen in an image, or why there are none.
 #[derive(Clone, Debug, PartialEq)]
@@ -11,6 +11,24 @@ pub struct Detection {
     pub observations: Vec<Observation>,
     /// Why there are none; `None` if there are some.
     pub missed: Option<Missed>,
+    /// Which of its two patterns a ChArUco board has; `None` for other targets.
+    pub pattern: Option<Pattern>,
+}
+
+/// Where the markers of a ChArUco board are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pattern {
+    /// The square in the first corner is dark.
+    Current,
+    /// The square in the first corner is white, as OpenCV before 4.6 had it on boards with an even number of rows.
+    Legacy,
+}
+
+impl Pattern {
+    /// Tells whether the square in the first corner is white.
+    pub(crate) fn first_is_white(self) -> bool {
+        self == Pattern::Legacy
+    }
 }
 
 /// Why a target was not detected.
@@ -42,8 +60,42 @@ pub enum Missed {
         /// The corners that are seen.
         corners: usize,
     },
+    /// A ChArUco board is seen whose markers are numbered as on a board of this width.
+    OtherSquares {
+        /// Its squares along x.
+        columns: u32,
+        /// The rows of squares that are seen; there may be more.
+        rows: u32,
+    },
+    /// A grid of tags is seen whose tags are numbered as on a grid of this width.
+    OtherTags {
+        /// Its tags along x.
+        columns: u32,
+        /// The rows of tags that are seen; there may be more.
+        rows: u32,
+    },
+    /// The markers that are seen are those of another dictionary, or of one that is part of it.
+    OtherDictionary(Dictionary),
+    /// Corners are seen, and no markers of any dictionary among them.
+    NoMarkers {
+        /// How many corners.
+        corners: usize,
+    },
     /// No detector knows targets of this kind.
     NoDetector,
+}
+
+impl Missed {
+    /// Tells whether it says for certain that another board is seen, so that nothing else need be tried.
+    pub(crate) fn is_certain(&self) -> bool {
+        matches!(
+            self,
+            Missed::OtherSquares { .. }
+                | Missed::OtherTags { .. }
+                | Missed::OtherDictionary(_)
+                | Missed::Contradiction { .. }
+        )
+    }
 }
 
 impl fmt::Display for Missed {
@@ -62,6 +114,24 @@ impl fmt::Display for Missed {
             Missed::Contradiction { corners } => {
                 write!(f, "{corners} corners of a board are seen that cannot be the target's")
             }
+            Missed::OtherSquares { columns, rows } => {
+                write!(
+                    f,
+                    "the markers are numbered as on a board {columns} squares wide, of which {rows} rows are seen"
+                )
+            }
+            Missed::OtherTags { columns, rows } => {
+                write!(
+                    f,
+                    "the tags are numbered as on a grid {columns} tags wide, of which {rows} rows are seen"
+                )
+            }
+            Missed::OtherDictionary(dictionary) => {
+                write!(f, "the markers are of the dictionary {} or a larger one", dictionary.name())
+            }
+            Missed::NoMarkers { corners } => {
+                write!(f, "{corners} corners are seen, but no marker of any dictionary between them")
+            }
             Missed::NoDetector => f.write_str("targets of this kind cannot be detected"),
         }
     }
@@ -70,16 +140,21 @@ impl fmt::Display for Missed {
 impl Detection {
     /// Returns that nothing was detected.
     pub(crate) fn missed(missed: Missed) -> Self {
-        Self { observations: Vec::new(), missed: Some(missed) }
+        Self { observations: Vec::new(), missed: Some(missed), pattern: None }
     }
 
     /// Tells whether this says more: more points, or without any a better reason.
     pub(crate) fn is_better_than(&self, other: &Self) -> bool {
         let rank = |missed: &Option<Missed>| match missed {
             None => (5, 0),
-            Some(Missed::OtherSize { .. }) => (4, 0),
+            Some(Missed::OtherSize { .. } | Missed::OtherSquares { .. } | Missed::OtherTags { .. }) => (4, 0),
+            Some(Missed::OtherDictionary(_)) => (4, 0),
             Some(Missed::TooLarge { .. }) => (3, 0),
-            Some(Missed::Ambiguous { corners } | Missed::Contradiction { corners }) => (2, *corners),
+            Some(
+                Missed::Ambiguous { corners }
+                | Missed::Contradiction { corners }
+                | Missed::NoMarkers { corners },
+            ) => (2, *corners),
             Some(Missed::NoBoard) => (1, 0),
             Some(Missed::NoDetector) => (0, 0),
         };

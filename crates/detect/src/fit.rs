@@ -36,8 +36,19 @@ pub(crate) struct Start {
     pub blur_px: f64,
     /// The share of a step that the window reaches.
     pub reach: f64,
+    /// What of the window is not looked at.
+    pub hole: Option<Hole>,
     /// What an earlier fit of this corner found.
     pub before: Option<Shape>,
+}
+
+/// The inner parts of two opposite squares around a corner, where a marker may be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Hole {
+    /// Whether the squares are the bright ones.
+    pub is_bright: bool,
+    /// How far from the edges of a square it begins, in steps.
+    pub from: f64,
 }
 
 /// The unknowns of a corner beside its place: angles of the edges, logarithms of the blurs, offset, slopes, amplitude.
@@ -175,13 +186,22 @@ impl Window {
             if last < 0.0 { 0 } else { (last as usize + 1).min(side) }
         });
         let gap = gap as usize;
+        // Blur brings what is in the hole nearer; a pixel beside the edge is always looked at.
+        let hole_from = lengths.map(|length| match start.hole {
+            Some(hole) => (hole.from - 2.5 * start.blur_px / length).max(1.0 / length),
+            None => f64::INFINITY,
+        });
+        let is_hole_along = start.hole.is_some_and(|hole| hole.is_bright == start.is_bright);
         let origin = start.pixel.map(f64::round);
         let mut pixels = Vec::with_capacity(1024);
         for v in (low[1]..high[1]).step_by(gap) {
             for u in (low[0]..high[0]).step_by(gap) {
                 let [x, y] = [u as f64 - start.pixel[0], v as f64 - start.pixel[1]];
                 let along = [(x * b[1] - y * b[0]) / determinant, (a[0] * y - a[1] * x) / determinant];
-                if along[0].abs() <= reach[0] && along[1].abs() <= reach[1] {
+                let is_in_hole = along[0].abs() > hole_from[0]
+                    && along[1].abs() > hole_from[1]
+                    && (along[0] * along[1] > 0.0) == is_hole_along;
+                if along[0].abs() <= reach[0] && along[1].abs() <= reach[1] && !is_in_hole {
                     pixels.push([u as f64 - origin[0], v as f64 - origin[1], grey(values[v * width + u])]);
                 }
             }
@@ -348,6 +368,7 @@ mod tests {
             is_bright: true,
             blur_px: 1.0,
             reach: 0.55,
+            hole: None,
             before: None,
         };
         let error = |start: &Start| {

@@ -19,7 +19,7 @@ const SIGMA_SHARE: f64 = 0.05;
 /// The contrast of a corner may be this share of its neighbours'.
 const CONTRAST_SHARE: f64 = 0.3;
 /// How far the window of a fit reaches, as a share of a step.
-const REACH: f64 = 0.55;
+pub(crate) const REACH: f64 = 0.55;
 /// The four neighbours of a corner.
 pub(crate) const SIDES: [[i32; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
 
@@ -119,6 +119,7 @@ impl Grid {
             is_bright: self.is_bright_square(at),
             blur_px,
             reach: REACH,
+            hole: None,
             before: None,
         })
     }
@@ -250,7 +251,7 @@ impl Grid {
 }
 
 /// Tells whether a fit is a corner at all, beside neighbours of this contrast and with steps of these lengths.
-fn is_corner(fit: &Fit, contrast: f64, step_px: [f64; 2]) -> bool {
+pub(crate) fn is_corner(fit: &Fit, contrast: f64, step_px: [f64; 2]) -> bool {
     let is_known = fit.sigma_px < SIGMA_SHARE * step_px[0].min(step_px[1]);
     is_known && fit.contrast > CONTRAST_SHARE * contrast && fit.residual < RESIDUAL_SHARE * fit.contrast
 }

@@ -15,6 +15,8 @@ const NEIGHBOURS: usize = 24;
 const SAME_PX: f64 = 1.5;
 /// By how much a ray may miss the neighbour it leads to, in radians.
 const MISS_RAD: f64 = 0.30;
+/// How far aside of an edge between plain squares is looked, as a share of its length.
+pub(crate) const ASIDE: f64 = 0.2;
 /// The least contrast across an edge, as a share of that of its ends.
 const EDGE_SHARE: f64 = 0.3;
 
@@ -42,10 +44,11 @@ type End = (usize, usize);
 /// Returns the lattices that the saddles make, the one with most corners first.
 ///
 /// An edge joins two saddles if each is the nearest along a ray of the other, their colours agree, and bright stays on
-/// one side all the way between. A corner counts if it is one of four around a square.
-pub(crate) fn find_lattices(saddles: &[Saddle], smooth: &Plane) -> Vec<Lattice> {
+/// one side all the way between, looked at aside of the edge by `aside` of its length. A corner counts if it is one of
+/// four around a square.
+pub(crate) fn find_lattices(saddles: &[Saddle], smooth: &Plane, aside: f64) -> Vec<Lattice> {
     let saddles = without_doubles(saddles);
-    let edges = edges(&saddles, smooth);
+    let edges = edges(&saddles, smooth, aside);
     let mut taken = vec![false; saddles.len()];
     let mut lattices = Vec::new();
     for start in 0..saddles.len() {
@@ -84,7 +87,7 @@ fn without_doubles(saddles: &[Saddle]) -> Vec<Saddle> {
 }
 
 /// Returns, for each ray of each saddle, the ray of its neighbour that meets it.
-fn edges(saddles: &[Saddle], smooth: &Plane) -> Vec<[Option<End>; 4]> {
+fn edges(saddles: &[Saddle], smooth: &Plane, aside: f64) -> Vec<[Option<End>; 4]> {
     let points: Vec<[f64; 2]> = saddles.iter().map(|saddle| saddle.pixel).collect();
     let mut wanted = vec![[None; 4]; saddles.len()];
     let count = NonZero::new(NEIGHBOURS + 1).expect("a constant above zero");
@@ -100,7 +103,7 @@ fn edges(saddles: &[Saddle], smooth: &Plane) -> Vec<[Option<End>; 4]> {
             .collect();
         near.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
         for (k, wanted) in wanted.iter_mut().enumerate() {
-            *wanted = near.iter().find_map(|&(_, b)| meets(saddles, (a, k), b, smooth));
+            *wanted = near.iter().find_map(|&(_, b)| meets(saddles, (a, k), b, smooth, aside));
         }
     }
     let mutual = |from: End, to: &End| wanted[to.0][to.1] == Some(from);
@@ -110,7 +113,7 @@ fn edges(saddles: &[Saddle], smooth: &Plane) -> Vec<[Option<End>; 4]> {
 }
 
 /// Returns the ray of `b` that meets a ray of another saddle, if an edge joins them.
-fn meets(saddles: &[Saddle], (a, k): End, b: usize, smooth: &Plane) -> Option<End> {
+fn meets(saddles: &[Saddle], (a, k): End, b: usize, smooth: &Plane, aside: f64) -> Option<End> {
     let (from, to) = (&saddles[a], &saddles[b]);
     let along = [to.pixel[0] - from.pixel[0], to.pixel[1] - from.pixel[1]];
     let direction = along[1].atan2(along[0]);
@@ -127,7 +130,7 @@ fn meets(saddles: &[Saddle], (a, k): End, b: usize, smooth: &Plane) -> Option<En
         return None;
     }
     let length = along[0].hypot(along[1]);
-    let aside = (0.2 * length).clamp(1.5, 4.0) / length;
+    let aside = (aside * length).clamp(1.5, 4.0) / length;
     let sense = if from.is_bright_after(k) { 1.0 } else { -1.0 };
     let is_edge = [0.25, 0.5, 0.75].iter().all(|share| {
         let at = [from.pixel[0] + share * along[0], from.pixel[1] + share * along[1]];

@@ -5,15 +5,20 @@
 //!
 //! Architecture invariant: nothing here knows a lens, a pose of a camera, or a file.
 
+mod april_grid;
+mod charuco;
 mod chessboard;
 mod detection;
 mod fit;
 mod grid;
+mod labelled;
 mod lattice;
+mod marker;
 mod placement;
 mod plane;
 mod registry;
 mod saddles;
+mod votes;
 
-pub use detection::{Detection, Missed};
+pub use detection::{Detection, Missed, Pattern};
 pub use registry::{DETECTORS, Detector, detect};

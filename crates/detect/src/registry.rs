@@ -2,8 +2,8 @@
 
 use boresight_data::{Geometry, GrayImage, Target};
 
-use crate::chessboard;
 use crate::detection::{Detection, Missed};
+use crate::{april_grid, charuco, chessboard};
 
 /// A detector of one kind of target.
 pub struct Detector {
@@ -16,8 +16,11 @@ pub struct Detector {
 }
 
 /// All detectors.
-pub const DETECTORS: &[Detector] =
-    &[Detector { name: "chessboard", handles: chessboard::handles, detect: chessboard::detect }];
+pub const DETECTORS: &[Detector] = &[
+    Detector { name: "chessboard", handles: chessboard::handles, detect: chessboard::detect },
+    Detector { name: "charuco", handles: charuco::handles, detect: charuco::detect },
+    Detector { name: "aprilgrid", handles: april_grid::handles, detect: april_grid::detect },
+];
 
 /// Detects the points of a target in an image: whole or in part, or not at all, with the reason.
 pub fn detect(image: &GrayImage, target: &Target) -> Detection {

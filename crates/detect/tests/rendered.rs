@@ -1,5 +1,8 @@
 //! Detection on rendered boards, where the truth is known.
 
+#[path = "rendered/tags.rs"]
+mod tags;
+
 use std::f64::consts::TAU;
 
 use boresight_camera::{Camera, Model};
