@@ -1,5 +1,6 @@
 //! The conformance problems: mrcal's arrays as a dataset and scenes.
 
+use std::collections::BTreeSet;
 use std::io;
 use std::path::Path;
 
@@ -21,6 +22,15 @@ pub struct MrcalProblem {
     pub seed: Scene,
     /// The arrays.
     pub arrays: Npz,
+}
+
+/// The outliers of a problem, as view and point.
+#[derive(Clone, Debug, Default)]
+pub struct TrueOutliers {
+    /// All corners that were displaced, however little.
+    pub all: BTreeSet<(usize, u32)>,
+    /// Those that are far from the truth.
+    pub above: BTreeSet<(usize, u32)>,
 }
 
 impl MrcalProblem {
@@ -76,6 +86,32 @@ impl MrcalProblem {
         };
         let seed = scene(&arrays, "_seed", model, &dataset);
         Ok(Self { dataset, seed, arrays })
+    }
+
+    /// Returns the corners that were displaced, and those of them that lie more than `sigmas` away from where
+    /// the truth says; problems that have no truth of the same lens model go by the displacement alone.
+    pub fn true_outliers(&self, sigma_px: f64, sigmas: f64) -> TrueOutliers {
+        let n_points = self.dataset.targets[TargetId(0)].point_count();
+        let mut outliers = TrueOutliers::default();
+        let moved = self.arrays.numbers("outlier_dq").chunks_exact(2);
+        let truth = scene(&self.arrays, "_true", "opencv8".parse().expect("a model"), &self.dataset);
+        for (&corner, by) in self.arrays.numbers("outlier_flat_index").iter().zip(moved) {
+            let (view_idx, point) = (corner as usize / n_points, corner as usize % n_points);
+            let view = &self.dataset.views[view_idx];
+            let camera = truth.rig.cameras[view.camera].as_ref().expect("all cameras have a truth");
+            let rig_from_target = truth.rig_from_target[view.frame].expect("all frames have a truth");
+            let point_id = PointId(point as u32);
+            let shape_m = &truth.targets[TargetId(0)].shape_m;
+            let point_in_target = self.dataset.targets[TargetId(0)].point(point_id, shape_m);
+            let clean = camera.camera.project(&(camera.cam_from_rig * rig_from_target * point_in_target));
+            let seen = view.observations[point].pixel;
+            let error = clean.map_or(by[0].hypot(by[1]), |c| (seen[0] - c[0]).hypot(seen[1] - c[1]));
+            outliers.all.insert((view_idx, point as u32));
+            if error > sigmas * sigma_px {
+                outliers.above.insert((view_idx, point as u32));
+            }
+        }
+        outliers
     }
 
     /// Returns the scene stored under names that end in `suffix`: `_seed`, `_true`, or none in a solution file.

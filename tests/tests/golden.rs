@@ -9,6 +9,7 @@ mod golden {
     mod mrcal_problems;
     mod objective;
     mod opencv_corners;
+    mod outliers;
     mod poses;
     mod synthetic_rigs;
     mod triangulation;

@@ -8,12 +8,16 @@ use crate::options::{AdjustOptions, Loss, Observer, Rejection};
 use crate::rejection::Lengths;
 use crate::report::{Outcome, report};
 use crate::rig_problem::RigProblem;
+use crate::suspects::{leave_out, suspects};
 
 /// The robust pass stops early: it only has to come near enough to tell outliers.
 const ROBUST_DECREASE_BELOW: f64 = 1e-2;
 
 /// Cauchy's c of the robust pass, in robust sigmas: 95 % efficient on Gaussian residuals.
 const ROBUST_LOSS_SIGMAS: f64 = 2.385;
+
+/// Rounds in which views are left out as a whole; the worst can hide others from the first.
+const MAX_SUSPECT_ROUNDS: usize = 3;
 
 /// Passes after which the set of outliers is taken as it is; it settles in two or three.
 const MAX_PASSES: usize = 12;
@@ -37,6 +41,7 @@ pub fn adjust(
         }
         Rejection::Beyond { sigmas } => {
             passes.solve_robustly(&mut rig)?;
+            passes.leave_out_suspects(&mut rig, sigmas)?;
             passes.reject_until_settled(&mut rig, sigmas)?;
         }
     }
@@ -82,6 +87,22 @@ impl Passes<'_> {
                 term.set_loss(Loss::Cauchy { sigmas: (ROBUST_LOSS_SIGMAS * scale).max(1e-9) });
             }
             self.solve(rig, ROBUST_DECREASE_BELOW, false)?;
+        }
+        Ok(())
+    }
+
+    /// Leaves out the views that do not go with the others, and comes near the optimum again without them.
+    fn leave_out_suspects(&mut self, rig: &mut RigProblem, sigmas: f64) -> Result<(), Error> {
+        for _ in 0..MAX_SUSPECT_ROUNDS {
+            let lengths = lengths(self.dataset, rig);
+            let scales = lengths.scales(self.dataset);
+            let reasons = suspects(self.dataset, rig, &lengths, &scales, sigmas);
+            if reasons.is_empty() {
+                break;
+            }
+            leave_out(rig, self.dataset, &reasons);
+            self.outcome.left_out.extend(reasons);
+            self.solve_robustly(rig)?;
         }
         Ok(())
     }

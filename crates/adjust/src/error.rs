@@ -75,6 +75,23 @@ pub enum Error {
         /// Its lens model.
         model: &'static str,
     },
+    /// A prior cannot be used.
+    #[error(
+        "prior {prior_idx} is about something that the dataset does not have, ties the poses of two frames together, \
+         or its covariance is not positive definite"
+    )]
+    BadPrior {
+        /// The prior, by its place in the options.
+        prior_idx: usize,
+    },
+    /// Cameras cannot share a lens.
+    #[error("cameras {} and {} cannot share a lens: it is {} for one and {} for the other", cameras[0], cameras[1], models[0], models[1])]
+    LensesDiffer {
+        /// The cameras.
+        cameras: [CameraId; 2],
+        /// Their lens models.
+        models: [&'static str; 2],
+    },
     /// The solver failed.
     #[error(transparent)]
     Solver(#[from] boresight_solver::Error),

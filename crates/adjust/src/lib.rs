@@ -20,6 +20,7 @@ mod rig_problem;
 mod robot;
 mod robot_noise;
 mod sighted_point;
+mod suspects;
 #[cfg(test)]
 mod test_numbers;
 mod touch;
@@ -29,7 +30,10 @@ pub use chain::{Chain, Link};
 pub use error::Error;
 pub use leave_one_out::{HeldOut, SightErrors, leave_one_out, sight_errors};
 pub use object_pose::{ObjectPose, ObjectPoseError, SeenPoint, assessed, object_pose};
-pub use options::{AdjustOptions, Hold, Loss, Observer, Progress, Regularization, Rejection, RobotNoise};
+pub use options::{
+    AdjustOptions, Hold, Loss, Observer, Prior, Progress, Quantity, Regularization, Rejection, RobotNoise,
+    Share,
+};
 pub use reprojection::{Layouts, Reprojection, TargetPoints};
 pub use rig_problem::mrcal22_rows;
 pub use robot_noise::{EstimatedNoise, estimate_robot_noise};

@@ -5,6 +5,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use boresight_data::{CameraId, FrameId, TargetId};
+use boresight_geometry::Pose;
 use boresight_solver::Checkpointing;
 pub use boresight_solver::{Observer, Progress};
 
@@ -21,6 +22,10 @@ pub struct AdjustOptions {
     pub holds: Vec<Hold>,
     /// How far the robot's readings are off; `None` takes them as exact.
     pub robot_noise: Option<RobotNoise>,
+    /// What is believed beforehand, with its covariance.
+    pub priors: Vec<Prior>,
+    /// What several cameras have in common.
+    pub shares: Vec<Share>,
     /// The number of threads; 0 takes one for each core. The result does not depend on it.
     pub threads: usize,
     /// Stop when the model predicts a decrease of chi-squared below this many residual variances.
@@ -43,6 +48,8 @@ impl Default for AdjustOptions {
             regularization: Regularization::Default,
             holds: Vec::new(),
             robot_noise: None,
+            priors: Vec::new(),
+            shares: Vec::new(),
             threads: 0,
             decrease_below: 1e-6,
             max_iterations: 200,
@@ -123,4 +130,32 @@ pub enum Hold {
     FirstFromTarget(TargetId),
     /// The shapes of all targets.
     Shapes,
+}
+
+/// A Gaussian belief from elsewhere, such as an earlier calibration. It never enters the noise estimate.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prior {
+    /// What it is about. Each lens parameter, each pose at most once in all priors; one frame's pose at most.
+    pub quantities: Vec<Quantity>,
+    /// The covariance of the quantities in their order, row by row, where residuals are in units of the stated
+    /// sigma of a corner: a calibration's covariance over the square of its noise factor.
+    pub covariance: Vec<f64>,
+}
+
+/// What a prior is about.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Quantity {
+    /// A lens parameter of a camera, by its index: one column.
+    LensParam(CameraId, usize, f64),
+    /// Where a camera sits in the rig: six columns of left perturbations. Not of the reference camera.
+    CamFromRig(CameraId, Pose),
+    /// Where the target stood in a frame, such as a surveyed board: six columns of left perturbations.
+    RigFromTarget(FrameId, Pose),
+}
+
+/// What several cameras have in common.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Share {
+    /// One lens, such as that of a camera that moves and is a camera of the rig at each place.
+    Lens(Vec<CameraId>),
 }

@@ -6,7 +6,7 @@ use boresight_data::{CameraId, Dataset, Id};
 const SIGMA_PER_MEDIAN_LENGTH: f64 = 0.849_321_800_288_019;
 
 /// A residual shorter than this, in sigmas, is never an outlier: it is rounding.
-const ROUNDING_SIGMAS: f64 = 1e-6;
+pub(crate) const ROUNDING_SIGMAS: f64 = 1e-6;
 
 /// The residuals of all views that take part, in sigmas.
 pub(crate) struct Lengths {
@@ -39,7 +39,7 @@ impl Lengths {
 }
 
 /// Returns the median, or zero of nothing.
-fn median(numbers: &mut [f64]) -> f64 {
+pub(crate) fn median(numbers: &mut [f64]) -> f64 {
     if numbers.is_empty() {
         return 0.0;
     }

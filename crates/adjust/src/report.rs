@@ -27,6 +27,8 @@ pub(crate) struct Outcome {
     pub settled: bool,
     /// For each view of the problem, which observations are kept; `None` keeps all.
     pub kept: Option<Vec<Vec<bool>>>,
+    /// The views that were left out as a whole, each with the reason.
+    pub left_out: BTreeMap<usize, String>,
     /// For each camera, the length in sigmas beyond which a residual is an outlier.
     pub limits_sigmas: Vec<f64>,
 }
@@ -102,9 +104,10 @@ pub(crate) fn report(
         camera.rms_px = rms(*sum, camera.observations);
     }
     for (view_idx, view) in dataset.views.iter().enumerate().filter(|(view_idx, _)| !takes_part[*view_idx]) {
-        let why = match &scene.rig.cameras[view.camera] {
-            None => "its camera could not be calibrated",
-            Some(_) => "the target's pose in its frame could not be found",
+        let why = match (&scene.rig.cameras[view.camera], outcome.left_out.get(&view_idx)) {
+            (_, Some(why)) => why.as_str(),
+            (None, _) => "its camera could not be calibrated",
+            (Some(_), _) => "the target's pose in its frame could not be found",
         };
         cameras[view.camera].rejected += view.observations.len();
         rejected.extend(view.observations.iter().map(|observation| boresight_data::Rejection {

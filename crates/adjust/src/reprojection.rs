@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use boresight_camera::{CameraModel, Model, ModelVisitor};
 use boresight_data::{Observation, Target};
-use boresight_geometry::{Matrix3, Scalar, Vector3};
+use boresight_geometry::{Matrix3, Pose, Scalar, Vector3};
 use boresight_solver::gram::{BLOCK, Previous, Row};
 use boresight_solver::lanes::{Lanes, MAX_LANES};
 use boresight_solver::pulp::{Arch, Simd, WithSimd};
@@ -223,6 +223,11 @@ impl Reprojection {
             }
         }
         self.model.visit(Predict(self, values))
+    }
+
+    /// Returns where the target stands in front of the camera.
+    pub fn cam_from_target(&self, values: Values<'_>) -> Pose {
+        self.chain.compose(values)
     }
 
     fn shape(&self, values: Values<'_>) -> [f64; MAX_SHAPE] {

@@ -6,13 +6,15 @@ use std::sync::Arc;
 use boresight_camera::{LocalSupport, Model, ParamGroup};
 use boresight_data::{CameraId, Dataset, FrameId, Id, IdVec, Observation, Scene, Shape, TargetId};
 use boresight_geometry::Pose;
+use boresight_geometry::nalgebra::DMatrix;
 use boresight_solver::{
-    Belief, BlockId, Elimination, Parameters, Problem, SparsePrior, Term, Values, VectorPrior,
+    Belief, BlockId, Elimination, JointBelief, JointPrior, Parameters, Problem, SparsePrior, Term, Values,
+    VectorPrior,
 };
 
 use crate::chain::{Chain, Link};
 use crate::error::Error;
-use crate::options::{AdjustOptions, Hold, Regularization, RobotNoise};
+use crate::options::{AdjustOptions, Hold, Prior, Quantity, Regularization, RobotNoise, Share};
 use crate::reprojection::{Layouts, Reprojection, TargetPoints};
 use crate::robot::RobotPart;
 
@@ -36,6 +38,8 @@ pub(crate) struct RigProblem {
     /// Those of lenses with very many parameters.
     pub sparse_priors: Vec<SparsePrior>,
     pub robot: RobotPart,
+    /// What is believed from elsewhere.
+    pub beliefs: Vec<JointPrior>,
 }
 
 /// The blocks of a camera.
@@ -60,12 +64,20 @@ impl RigProblem {
         check(dataset, scene)?;
         let reference = scene.rig.reference().ok_or(Error::NoCamera { views: dataset.views.len() })?;
         let mut parameters = Parameters::default();
-        let mut cameras = IdVec::default();
+        let mut cameras: IdVec<CameraId, Option<CameraBlocks>> = IdVec::default();
+        // Surveyed boards give the rig its frame; otherwise the reference camera does.
+        let is_surveyed = options.holds.iter().any(|hold| matches!(hold, Hold::RigFromTarget(_)))
+            || options
+                .priors
+                .iter()
+                .flat_map(|prior| &prior.quantities)
+                .any(|quantity| matches!(quantity, Quantity::RigFromTarget(..)));
         for (camera_id, camera) in scene.rig.cameras.enumerate() {
+            let shared = shared_lens(camera_id, &options.shares, &cameras, scene)?;
             cameras.push(camera.as_ref().map(|camera| {
-                let lens = parameters.add_vector(&camera.camera.params);
+                let lens = shared.unwrap_or_else(|| parameters.add_vector(&camera.camera.params));
                 let cam_from_rig = parameters.add_pose(&camera.cam_from_rig, Elimination::Reduced);
-                let is_reference = camera_id == reference;
+                let is_reference = camera_id == reference && !is_surveyed;
                 if is_reference {
                     parameters.hold_all(cam_from_rig);
                 }
@@ -91,10 +103,12 @@ impl RigProblem {
             priors: Vec::new(),
             sparse_priors: Vec::new(),
             robot,
+            beliefs: Vec::new(),
         };
         problem.add_views(dataset, scene, options.robot_noise)?;
         problem.hold(&options.holds);
-        problem.add_regularization(dataset, scene, options.regularization);
+        problem.add_regularization(dataset, scene, options);
+        problem.add_beliefs(&options.priors)?;
         Ok(problem)
     }
 
@@ -164,15 +178,22 @@ impl RigProblem {
         Ok(())
     }
 
-    fn add_regularization(&mut self, dataset: &Dataset, scene: &Scene, regularization: Regularization) {
+    fn add_regularization(&mut self, dataset: &Dataset, scene: &Scene, options: &AdjustOptions) {
+        // What an earlier calibration says contains its regularisation already.
+        let is_believed = |camera: CameraId, column: usize| {
+            let quantities = options.priors.iter().flat_map(|prior| &prior.quantities);
+            { quantities }.any(|quantity| {
+                matches!(quantity, Quantity::LensParam(id, param, _) if (*id, *param) == (camera, column))
+            })
+        };
         let n_cameras = self.cameras.iter().flatten().count();
         let n_rows: usize =
             self.views.iter().map(|(view_idx, _)| 2 * dataset.views[*view_idx].observations.len()).sum();
-        for (blocks, camera) in self.cameras.iter().zip(&scene.rig.cameras) {
+        for ((id, blocks), camera) in self.cameras.enumerate().zip(&scene.rig.cameras) {
             let (Some(blocks), Some(camera)) = (blocks, camera) else { continue };
             let camera = &camera.camera;
             if let Some(grid) = camera.model.local_support() {
-                let mut beliefs = match regularization {
+                let mut beliefs = match options.regularization {
                     Regularization::None => continue,
                     Regularization::Default => spline_beliefs(camera.params.len()),
                     Regularization::Mrcal22 => {
@@ -183,10 +204,12 @@ impl RigProblem {
                 beliefs.retain(|belief| {
                     belief.factors.iter().any(|&(column, _)| !self.parameters.is_held(blocks.lens, column))
                 });
-                self.sparse_priors.push(SparsePrior::new(blocks.lens, camera.params.len(), beliefs));
+                if !self.sparse_priors.iter().any(|prior| prior.blocks() == [blocks.lens]) {
+                    self.sparse_priors.push(SparsePrior::new(blocks.lens, camera.params.len(), beliefs));
+                }
                 continue;
             }
-            let rows = match regularization {
+            let mut rows = match options.regularization {
                 Regularization::None => Vec::new(),
                 Regularization::Default => default_rows(&camera.model.param_groups()),
                 Regularization::Mrcal22 => {
@@ -195,10 +218,72 @@ impl RigProblem {
                     mrcal22_rows(n_rows, n_cameras, n_params, is_rational, camera.image_size)
                 }
             };
-            if !rows.is_empty() {
+            rows.retain(|(column, ..)| !is_believed(id, *column));
+            let is_shared = self.priors.iter().any(|prior| prior.blocks() == [blocks.lens]);
+            if !rows.is_empty() && !is_shared {
                 self.priors.push(VectorPrior::new(blocks.lens, rows));
             }
         }
+    }
+
+    /// Adds the priors; of what this problem does not have, such as a frame that nothing sees, nothing is believed.
+    fn add_beliefs(&mut self, priors: &[Prior]) -> Result<(), Error> {
+        for (prior_idx, prior) in priors.iter().enumerate() {
+            let bad = Error::BadPrior { prior_idx };
+            // The columns of one block may be apart: gathered, with the covariance in their new order.
+            let mut beliefs: Vec<(JointBelief, Vec<usize>)> = Vec::new();
+            let (mut n_columns, mut n_frames) = (0, 0);
+            for quantity in &prior.quantities {
+                let n = if matches!(quantity, Quantity::LensParam(..)) { 1 } else { 6 };
+                let places: Vec<usize> = (n_columns..n_columns + n).collect();
+                n_columns += n;
+                let Some(belief) = self.belief(quantity).ok_or_else(|| bad.clone())? else { continue };
+                n_frames += usize::from(matches!(quantity, Quantity::RigFromTarget(..)));
+                let same = beliefs.iter_mut().find(|(known, _)| match (known, &belief) {
+                    (JointBelief::Numbers(a, _), JointBelief::Numbers(b, _)) => a == b,
+                    _ => false,
+                });
+                match (same, belief) {
+                    (Some((JointBelief::Numbers(_, numbers), known)), JointBelief::Numbers(_, more)) => {
+                        numbers.extend(more);
+                        known.extend(places);
+                    }
+                    (_, belief) => beliefs.push((belief, places)),
+                }
+            }
+            // Frames' poses are eliminated one by one, so that no term may see two of them.
+            if prior.covariance.len() != n_columns * n_columns || n_frames > 1 {
+                return Err(bad);
+            }
+            let order: Vec<usize> = beliefs.iter().flat_map(|(_, places)| places.clone()).collect();
+            let n = order.len();
+            let covariance = DMatrix::from_fn(n, n, |i, j| prior.covariance[order[i] * n_columns + order[j]]);
+            let beliefs = beliefs.into_iter().map(|(belief, _)| belief).collect();
+            if n > 0 {
+                self.beliefs.push(JointPrior::new(beliefs, &covariance).ok_or(bad)?);
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns a belief for the solver; within `None` it is about something that this problem does not have,
+    /// and `None` itself is about something that does not exist.
+    fn belief(&self, quantity: &Quantity) -> Option<Option<JointBelief>> {
+        Some(match *quantity {
+            Quantity::LensParam(camera, param, mean) => match self.cameras.get(camera)? {
+                Some(blocks) if param >= self.parameters.columns(blocks.lens).len() => return None,
+                Some(blocks) => Some(JointBelief::Numbers(blocks.lens, vec![(param, mean)])),
+                None => None,
+            },
+            Quantity::CamFromRig(camera, mean) => {
+                let blocks = self.cameras.get(camera)?;
+                blocks.map(|blocks| JointBelief::Pose(blocks.cam_from_rig, mean))
+            }
+            Quantity::RigFromTarget(frame, mean) => {
+                let block = self.frames.get(frame)?;
+                block.map(|block| JointBelief::Pose(block, mean))
+            }
+        })
     }
 
     fn hold(&mut self, holds: &[Hold]) {
@@ -249,7 +334,8 @@ impl RigProblem {
         let views = self.views.iter().map(|(_, term)| term as &dyn Term);
         let priors = self.priors.iter().map(|prior| prior as &dyn Term);
         let sparse_priors = self.sparse_priors.iter().map(|prior| prior as &dyn Term);
-        let terms = views.chain(priors).chain(sparse_priors).chain(self.robot.terms());
+        let beliefs = self.beliefs.iter().map(|belief| belief as &dyn Term);
+        let terms = views.chain(priors).chain(sparse_priors).chain(self.robot.terms()).chain(beliefs);
         Ok(Problem::new(&self.parameters, terms.collect())?)
     }
 
@@ -281,6 +367,27 @@ impl RigProblem {
         self.robot.write(dataset, values, &mut scene);
         scene
     }
+}
+
+/// Returns the lens of an earlier camera that this one shares.
+fn shared_lens(
+    camera: CameraId,
+    shares: &[Share],
+    cameras: &IdVec<CameraId, Option<CameraBlocks>>,
+    scene: &Scene,
+) -> Result<Option<BlockId>, Error> {
+    let Some(own) = &scene.rig.cameras[camera] else { return Ok(None) };
+    for Share::Lens(sharing) in shares.iter().filter(|Share::Lens(sharing)| sharing.contains(&camera)) {
+        let earlier =
+            sharing.iter().find_map(|other| Some((*other, cameras.get(*other).copied().flatten()?)));
+        let Some((other, blocks)) = earlier else { continue };
+        if blocks.model != own.camera.model {
+            let models = [blocks.model.name(), own.camera.model.name()];
+            return Err(Error::LensesDiffer { cameras: [other, camera], models });
+        }
+        return Ok(Some(blocks.lens));
+    }
+    Ok(None)
 }
 
 /// Returns mild beliefs about the parameters that data alone constrain badly.

@@ -38,7 +38,7 @@ pub use error::Error;
 pub use levenberg_marquardt::Counters;
 pub use local::{Accumulated, EliminatedSums, LocalTerm};
 pub use options::{Checkpointing, Observer, Progress, SolveOptions};
-pub use prior::{PosePrior, VectorPrior};
+pub use prior::{JointBelief, JointPrior, PosePrior, VectorPrior};
 pub use problem::{BlockId, Elimination, GramMut, Parameters, Problem, Scratch, Term, TermKind, Values};
 pub use pulp;
 pub use solve::{Solution, solve, solve_observed};

@@ -1,5 +1,6 @@
 //! Beliefs held beforehand: a mean and sigmas, for a block of numbers or a pose.
 
+use boresight_geometry::nalgebra::DMatrix;
 use boresight_geometry::{Matrix6, Pose, Vector3, Vector6, left_jacobian_inverse, skew};
 
 use crate::problem::{BlockId, GramMut, Scratch, Term, TermKind, Values};
@@ -109,5 +110,175 @@ impl Term for PosePrior {
         }
         gram.add(6, 6, cost);
         Some(cost)
+    }
+}
+
+/// What a [`JointPrior`] believes of a block.
+#[derive(Clone, Debug, PartialEq)]
+pub enum JointBelief {
+    /// Numbers of a vector block: columns with their means.
+    Numbers(BlockId, Vec<(usize, f64)>),
+    /// A pose: six columns, left perturbations of the mean in the order rotation, translation.
+    Pose(BlockId, Pose),
+}
+
+/// A Gaussian belief about numbers and poses of several blocks at once, with their covariance.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointPrior {
+    blocks: Vec<BlockId>,
+    beliefs: Vec<JointBelief>,
+    /// The inverse of the covariance's Cholesky factor: whitens the residuals.
+    whitening: DMatrix<f64>,
+}
+
+impl JointPrior {
+    /// Returns the prior of `beliefs`, each about a block of its own, with the covariance of their columns
+    /// in this order; `None` if that is not square, symmetric and positive definite.
+    pub fn new(beliefs: Vec<JointBelief>, covariance: &DMatrix<f64>) -> Option<Self> {
+        let n: usize = beliefs.iter().map(JointBelief::column_count).sum();
+        if covariance.shape() != (n, n) {
+            return None;
+        }
+        // Parameters differ by many powers of ten: factored with a unit diagonal.
+        let sigmas: Vec<f64> = (0..n).map(|i| covariance[(i, i)].sqrt()).collect();
+        if !sigmas.iter().all(|sigma| sigma.is_finite() && *sigma > 0.0) {
+            return None;
+        }
+        let scaled = DMatrix::from_fn(n, n, |i, j| covariance[(i, j)] / (sigmas[i] * sigmas[j]));
+        let mut whitening = scaled.cholesky()?.l().try_inverse()?;
+        for (mut column, sigma) in whitening.column_iter_mut().zip(&sigmas) {
+            column /= *sigma;
+        }
+        let blocks = beliefs.iter().map(JointBelief::block).collect();
+        Some(Self { blocks, beliefs, whitening })
+    }
+}
+
+impl JointBelief {
+    fn block(&self) -> BlockId {
+        match self {
+            JointBelief::Numbers(block, _) | JointBelief::Pose(block, _) => *block,
+        }
+    }
+
+    fn column_count(&self) -> usize {
+        match self {
+            JointBelief::Numbers(_, numbers) => numbers.len(),
+            JointBelief::Pose(..) => 6,
+        }
+    }
+}
+
+impl Term for JointPrior {
+    fn blocks(&self) -> &[BlockId] {
+        &self.blocks
+    }
+
+    fn kind(&self) -> TermKind {
+        TermKind::Prior
+    }
+
+    fn row_count(&self) -> usize {
+        self.whitening.nrows()
+    }
+
+    fn linearize(&self, values: Values<'_>, gram: &mut GramMut<'_>, _: &mut Scratch) -> Option<f64> {
+        gram.clear();
+        let n_rows = self.row_count();
+        let last = gram.size() - 1;
+        let mut jacobian = DMatrix::zeros(n_rows, last + 1);
+        let (mut row, mut first) = (0, 0);
+        for belief in &self.beliefs {
+            match belief {
+                JointBelief::Numbers(block, numbers) => {
+                    let found = values.vector(*block);
+                    for &(column, mean) in numbers {
+                        jacobian[(row, first + column)] = 1.0;
+                        jacobian[(row, last)] = found[column] - mean;
+                        row += 1;
+                    }
+                    first += found.len();
+                }
+                JointBelief::Pose(block, mean) => {
+                    let departure = (values.pose(*block) * mean.inverse()).log();
+                    jacobian.view_mut((row, first), (6, 6)).copy_from(&log_by_left(&departure));
+                    jacobian.view_mut((row, last), (6, 1)).copy_from(&departure);
+                    (row, first) = (row + 6, first + 6);
+                }
+            }
+        }
+        let rows = &self.whitening * jacobian;
+        let square = rows.transpose() * rows;
+        for a in 0..=last {
+            for b in a..=last {
+                gram.add(a, b, square[(a, b)]);
+            }
+        }
+        Some(square[(last, last)])
+    }
+}
+
+/// Returns the derivative of the log of a pose by a left perturbation, where the log is `departure`:
+/// `1 - ad/2 + ad²/12`, the series of Solà, Deray & Atchuthan 2018, to the fourth order in a small departure.
+fn log_by_left(departure: &Vector6<f64>) -> Matrix6<f64> {
+    let turn = skew(&departure.fixed_rows::<3>(0).into_owned());
+    let mut adjoint = Matrix6::zeros();
+    adjoint.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+    adjoint.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn);
+    adjoint.fixed_view_mut::<3, 3>(3, 0).copy_from(&skew(&departure.fixed_rows::<3>(3).into_owned()));
+    Matrix6::identity() - adjoint * 0.5 + adjoint * adjoint / 12.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::problem::{Elimination, Parameters};
+
+    #[test]
+    fn the_joint_prior_is_its_own_rows() {
+        let mean = Pose::from_rodrigues(Vector3::new(0.4, -0.2, 0.1), Vector3::new(0.3, 0.1, 2.0));
+        let moved = Vector6::new(0.02, -0.01, 0.03, 0.01, 0.02, -0.015);
+        let root =
+            DMatrix::from_fn(8, 8, |i, j| if i == j { 0.1 + 0.05 * i as f64 } else { 0.01 * (i + j) as f64 });
+        let covariance = &root * root.transpose();
+        let case = |numbers: [f64; 3], tangent: Vector6<f64>| {
+            let mut parameters = Parameters::default();
+            let block = parameters.add_vector(&numbers);
+            let pose = parameters.add_pose(&mean.perturbed(&moved).perturbed(&tangent), Elimination::Reduced);
+            let beliefs =
+                vec![JointBelief::Numbers(block, vec![(2, 5.0), (0, 1.0)]), JointBelief::Pose(pose, mean)];
+            let prior = JointPrior::new(beliefs, &covariance).unwrap();
+            let mut entries = vec![f64::NAN; 100];
+            let mut gram = GramMut::new(&mut entries, 10);
+            let cost = prior.linearize(parameters.values(), &mut gram, &mut Scratch::default()).unwrap();
+            (cost, entries)
+        };
+        let (cost, entries) = case([1.3, 7.0, 4.6], Vector6::zeros());
+        let mut departure = vec![-0.4, 0.3];
+        departure.extend(moved.iter());
+        let departure = boresight_geometry::nalgebra::DVector::from_vec(departure);
+        let expected = (departure.transpose() * covariance.clone().try_inverse().unwrap() * &departure)[0];
+        assert!((cost / expected - 1.0).abs() < 1e-10, "{cost} against {expected}");
+        for column in 0..9 {
+            let step = 1e-5;
+            let at = |sign: f64| {
+                let (mut numbers, mut tangent) = ([1.3, 7.0, 4.6], Vector6::zeros());
+                if column < 3 {
+                    numbers[column] += sign * step
+                } else {
+                    tangent[column - 3] = sign * step
+                }
+                case(numbers, tangent).0
+            };
+            let difference = (at(1.0) - at(-1.0)) / (4.0 * step);
+            let gradient = entries[column * 10 + 9];
+            // The series ends at the fourth power of 0.05.
+            assert!(
+                (gradient - difference).abs() < 1e-5 * cost.max(1.0) * 10.0,
+                "{column}: {gradient} {difference}"
+            );
+        }
+        let singular = DMatrix::from_element(8, 8, 1.0);
+        assert_eq!(JointPrior::new(vec![JointBelief::Pose(BlockId(0), mean)], &singular), None);
     }
 }
