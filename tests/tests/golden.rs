@@ -11,8 +11,10 @@ mod golden {
     mod opencv_corners;
     mod outliers;
     mod poses;
+    mod sigma_reference;
     mod synthetic_rigs;
     mod triangulation;
     mod uncertainty;
     mod uncertainty_scatter;
+    mod wide_fisheye;
 }
