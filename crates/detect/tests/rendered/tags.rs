@@ -9,7 +9,7 @@ use boresight_synthetic::{Exposure, FirstSquare, Print, render};
 use super::{camera, errors, pose, truth};
 
 fn charuco(columns: u32, rows: u32, dictionary: &str) -> Target {
-    let dictionary = Dictionary::named(dictionary).unwrap();
+    let dictionary = Dictionary::named(dictionary).expect("there is this dictionary");
     let geometry = Geometry::Charuco { columns, rows, spacing_m: 0.04, marker_m: 0.03, dictionary };
     Target { name: "board".to_owned(), geometry, shape: Shape::Rigid }
 }
@@ -50,7 +50,7 @@ fn cover(image: &GrayImage, places: &[[f64; 2]], radius_px: f64) -> GrayImage {
             *value = 128;
         }
     }
-    GrayImage::new(image.size(), GrayPixels::Eight(values)).unwrap()
+    GrayImage::new(image.size(), GrayPixels::Eight(values)).expect("as many values as pixels")
 }
 
 fn root_mean_square(errors: &[[f64; 2]]) -> f64 {
@@ -97,7 +97,8 @@ fn charuco_corners_are_exact_and_both_patterns_are_told() {
 
 /// Checks a board of which a third of the corners is covered; returns how many of those to be seen are found.
 fn check_covered(target: &Target, camera: &Camera, pose: &Pose, seed: u64, radius_px: f64) -> [usize; 2] {
-    let image = render(camera, pose, target, &[], &Exposure::default(), seed).unwrap();
+    let image =
+        render(camera, pose, target, &[], &Exposure::default(), seed).expect("the board can be drawn");
     let n = target.point_count();
     let hash = |i: usize| (i as u64 * 2_654_435_761 + seed * 40_503) % 1009;
     let hidden: Vec<usize> = (0..n).filter(|i| hash(*i) < 303).collect();
