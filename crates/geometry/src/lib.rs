@@ -8,6 +8,7 @@
 
 mod dual;
 mod pose;
+mod pose_stream;
 mod rodrigues;
 mod scalar;
 mod triangulation;
@@ -16,6 +17,7 @@ pub use dual::Dual;
 pub use nalgebra;
 pub use nalgebra::{Matrix2, Matrix3, Matrix6, Point3, Rotation3, UnitQuaternion, Vector2, Vector3, Vector6};
 pub use pose::{Pose, left_jacobian_inverse, skew};
+pub use pose_stream::PoseStream;
 pub use rodrigues::rotation_by_rodrigues;
 pub use scalar::{MAX_LANES, Scalar};
 pub use triangulation::{RayPair, Triangulation, triangulate};

@@ -10,10 +10,12 @@
 
 mod average;
 mod bundle;
+mod clock_offset;
 mod convert;
 mod graph;
 pub mod hand_eye;
 mod intrinsics;
+mod joint_lines;
 mod kernel;
 mod left_out;
 mod lens_fit;
@@ -36,7 +38,9 @@ use boresight_camera::kannala_brandt4::KannalaBrandt4;
 use boresight_camera::{Camera, Model};
 use boresight_data::{CameraId, Dataset, Id as _, Scene};
 
+pub use clock_offset::{ClockOffset, clock_offset};
 pub use convert::{ConvertError, Converted, ImpliedRotation, convert};
+pub use joint_lines::{JointError, JointLines, joint_lines};
 pub use left_out::LeftOut;
 pub use place::place;
 pub use three_point::{
