@@ -191,14 +191,19 @@ fn votes(lattices: &[ReadLattice], board: &Board, pattern: Pattern) -> Vec<Optio
     lattices.iter().map(vote).collect()
 }
 
-/// Tells whether a board of so many corners has a place for those of a lattice, but for a stray one.
+/// Tells whether a board of so many corners has a place for those of a lattice, but for stray ones.
+///
+/// It has none if a row that would be its last goes on as a row of which half is there, or a third is beyond its ends.
 pub(crate) fn has_place(lattice: &Lattice, vote: &Vote, size: [i32; 2]) -> bool {
-    let is_on = |at: &[i32; 2]| {
-        let label = vote.labelling.label(*at);
-        (0..2).all(|axis| (0..size[axis]).contains(&label[axis]))
+    let labels: Vec<[i32; 2]> = lattice.corners.keys().map(|at| vote.labelling.label(*at)).collect();
+    let is_on = |label: &&[i32; 2]| (0..2).all(|axis| (0..size[axis]).contains(&label[axis]));
+    let n_on = labels.iter().filter(is_on).count();
+    let goes_on = |axis: usize, last: i32, beyond: i32| {
+        let of = |line: i32| labels.iter().filter(|label| label[axis] == line).count();
+        of(beyond) >= 2 && 2 * of(beyond) >= of(last)
     };
-    let n_stray = lattice.corners.keys().filter(|at| !is_on(at)).count();
-    n_stray <= 1.max(lattice.corners.len() / 30)
+    let any_goes_on = (0..2).any(|axis| goes_on(axis, 0, -1) || goes_on(axis, size[axis] - 1, size[axis]));
+    3 * n_on >= 2 * labels.len() && !any_goes_on
 }
 
 /// Returns the directions of the board's axes where a marker that is upright on the board lies turned so often.

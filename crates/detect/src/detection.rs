@@ -74,6 +74,13 @@ pub enum Missed {
         /// The rows of tags that are seen; there may be more.
         rows: u32,
     },
+    /// A whole symmetric grid of dots is seen, of another size.
+    OtherDots {
+        /// Its dots along the longer side.
+        columns: u32,
+        /// Its dots along the shorter side.
+        rows: u32,
+    },
     /// The markers that are seen are those of another dictionary, or of one that is part of it.
     OtherDictionary(Dictionary),
     /// Corners are seen, and no markers of any dictionary among them.
@@ -126,6 +133,7 @@ impl fmt::Display for Missed {
                     "the tags are numbered as on a grid {columns} tags wide, of which {rows} rows are seen"
                 )
             }
+            Missed::OtherDots { columns, rows } => write!(f, "the grid has {columns}x{rows} dots"),
             Missed::OtherDictionary(dictionary) => {
                 write!(f, "the markers are of the dictionary {} or a larger one", dictionary.name())
             }
@@ -148,7 +156,7 @@ impl Detection {
         let rank = |missed: &Option<Missed>| match missed {
             None => (5, 0),
             Some(Missed::OtherSize { .. } | Missed::OtherSquares { .. } | Missed::OtherTags { .. }) => (4, 0),
-            Some(Missed::OtherDictionary(_)) => (4, 0),
+            Some(Missed::OtherDictionary(_) | Missed::OtherDots { .. }) => (4, 0),
             Some(Missed::TooLarge { .. }) => (3, 0),
             Some(
                 Missed::Ambiguous { corners }

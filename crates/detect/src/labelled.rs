@@ -6,11 +6,11 @@
 use std::collections::BTreeMap;
 
 use boresight_data::{GrayImage, Observation, PointId};
-use boresight_geometry::nalgebra::{SMatrix, SVector};
 
 use crate::fit::{Fit, Hole, Start, fit};
 use crate::grid::{REACH, is_corner};
 use crate::lattice::distance;
+use crate::local_map::LocalMap;
 
 /// A corner may move by this share of its window's step when it is fitted.
 const MOVE_SHARE: f64 = 0.3;
@@ -281,64 +281,32 @@ impl Labelled<'_> {
 
     /// Returns what the corners near a place, without it, foretell; `None` if they are too few or in a row.
     fn foretold(&self, at: [i32; 2]) -> Option<Foretold> {
-        let near = self.drawing.near;
-        let mut normal = SMatrix::<f64, 8, 8>::zeros();
-        let mut gradient = SVector::<f64, 8>::zeros();
-        let (mut n, mut sides) = (0, [false; 4]);
-        let (mut blur_px, mut contrast, mut weights) = (0.0, 0.0, 0.0);
-        let mut origin = None;
-        let mut square_px = 0.0;
-        for row in at[1] - near..=at[1] + near {
-            for column in at[0] - near..=at[0] + near {
-                let place = [column, row];
-                let Some(corner) = self.corners.get(&place).filter(|_| place != at) else { continue };
-                let [x, y] = [0, 1].map(|axis| {
+        let reach = self.drawing.near;
+        let places = (at[1] - reach..=at[1] + reach)
+            .flat_map(|row| (at[0] - reach..=at[0] + reach).map(move |column| [column, row]));
+        let near: Vec<([f64; 2], &Fit)> = places
+            .filter(|place| *place != at)
+            .filter_map(|place| {
+                let corner = self.corners.get(&place)?;
+                let away = [0, 1].map(|axis| {
                     let along = &self.drawing.at[axis];
                     along[(place[axis] + 1) as usize] - along[(at[axis] + 1) as usize]
                 });
-                let origin = *origin.get_or_insert(corner.pixel);
-                let [u, v] = [0, 1].map(|i| corner.pixel[i] - origin[i]);
-                square_px += u * u + v * v;
-                sides = [sides[0] || x > 0.0, sides[1] || y > 0.0, sides[2] || x < 0.0, sides[3] || y < 0.0];
-                // u (1 + h₇ x + h₈ y) = h₁ + h₂ x + h₃ y, and the same for v; near neighbours count more.
-                let weight = 1.0 / (x * x + y * y);
-                for row in [
-                    (SVector::from([1.0, x, y, 0.0, 0.0, 0.0, -u * x, -u * y]), u),
-                    (SVector::from([0.0, 0.0, 0.0, 1.0, x, y, -v * x, -v * y]), v),
-                ] {
-                    normal += row.0 * row.0.transpose() * weight;
-                    gradient += row.0 * (row.1 * weight);
-                }
-                n += 1;
-                blur_px += weight * corner.blur_px;
-                contrast += weight * corner.contrast;
-                weights += weight;
-            }
+                Some((away, corner))
+            })
+            .collect();
+        let map = LocalMap::fitted(near.iter().map(|(away, corner)| (*away, corner.pixel)))?;
+        let (mut blur_px, mut contrast, mut weights) = (0.0, 0.0, 0.0);
+        for ([x, y], corner) in &near {
+            let weight = 1.0 / (x * x + y * y);
+            blur_px += weight * corner.blur_px;
+            contrast += weight * corner.contrast;
+            weights += weight;
         }
-        let [origin_u, origin_v] = origin?;
-        if n < 3 {
-            return None;
-        }
-        // With few neighbours an affine map has to do; the last two unknowns are held near zero.
-        let hold = if n >= 7 { 1e-6 } else { 1e3 } * (square_px / f64::from(n)).max(1.0);
-        for k in 6..8 {
-            normal[(k, k)] += hold;
-        }
-        // Corners in a row determine nothing across it.
-        let spread = normal[(1, 1)] * normal[(2, 2)] - normal[(1, 2)].powi(2);
-        if spread <= 1e-6 * normal[(1, 1)] * normal[(2, 2)] {
-            return None;
-        }
-        let h = normal.cholesky()?.solve(&gradient);
-        let (u, v) = (h[0], h[3]);
-        let step = self.drawing.window_step;
         Some(Foretold {
-            pixel: [origin_u + u, origin_v + v],
-            steps_px: [
-                [step * (h[1] - h[6] * u), step * (h[4] - h[6] * v)],
-                [step * (h[2] - h[7] * u), step * (h[5] - h[7] * v)],
-            ],
-            is_surrounded: sides == [true; 4],
+            pixel: map.pixel(),
+            steps_px: map.steps_px(self.drawing.window_step),
+            is_surrounded: map.is_surrounded,
             blur_px: blur_px / weights,
             contrast: contrast / weights,
         })

@@ -6,13 +6,16 @@
 //! Architecture invariant: nothing here knows a lens, a pose of a camera, or a file.
 
 mod april_grid;
+mod blobs;
 mod charuco;
 mod chessboard;
+mod circles;
 mod detection;
 mod fit;
 mod grid;
 mod labelled;
 mod lattice;
+mod local_map;
 mod marker;
 mod placement;
 mod plane;

@@ -3,7 +3,7 @@
 use boresight_data::{Geometry, GrayImage, Target};
 
 use crate::detection::{Detection, Missed};
-use crate::{april_grid, charuco, chessboard};
+use crate::{april_grid, charuco, chessboard, circles};
 
 /// A detector of one kind of target.
 pub struct Detector {
@@ -20,6 +20,7 @@ pub const DETECTORS: &[Detector] = &[
     Detector { name: "chessboard", handles: chessboard::handles, detect: chessboard::detect },
     Detector { name: "charuco", handles: charuco::handles, detect: charuco::detect },
     Detector { name: "aprilgrid", handles: april_grid::handles, detect: april_grid::detect },
+    Detector { name: "circles", handles: circles::handles, detect: circles::detect },
 ];
 
 /// Detects the points of a target in an image: whole or in part, or not at all, with the reason.

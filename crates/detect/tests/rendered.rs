@@ -1,5 +1,9 @@
 //! Detection on rendered boards, where the truth is known.
 
+#![allow(clippy::unwrap_used, reason = "a test may stop at what it does not expect")]
+
+#[path = "rendered/dots.rs"]
+mod dots;
 #[path = "rendered/tags.rs"]
 mod tags;
 

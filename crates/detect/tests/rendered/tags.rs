@@ -28,7 +28,13 @@ fn large(scale: f64) -> Camera {
 }
 
 /// Returns the pose of a target with its middle at a place, tilted and rolled, with its front to the camera.
-fn facing(target: &Target, middle: [f64; 3], tilt_deg: f64, axis_turns: f64, roll_deg: f64) -> Pose {
+pub(super) fn facing(
+    target: &Target,
+    middle: [f64; 3],
+    tilt_deg: f64,
+    axis_turns: f64,
+    roll_deg: f64,
+) -> Pose {
     let last = target.drawn_point(PointId(target.point_count() as u32 - 1));
     let mut rotation = pose([0.0; 3], tilt_deg, axis_turns, roll_deg).rotation;
     if matches!(target.geometry, Geometry::AprilGrid { .. }) {
@@ -53,7 +59,7 @@ fn cover(image: &GrayImage, places: &[[f64; 2]], radius_px: f64) -> GrayImage {
     GrayImage::new(image.size(), GrayPixels::Eight(values)).expect("as many values as pixels")
 }
 
-fn root_mean_square(errors: &[[f64; 2]]) -> f64 {
+pub(super) fn root_mean_square(errors: &[[f64; 2]]) -> f64 {
     (errors.iter().flatten().map(|e| e * e).sum::<f64>() / (2.0 * errors.len() as f64)).sqrt()
 }
 

@@ -1,0 +1,243 @@
+//! Grids of dark dots, symmetric and asymmetric.
+//!
+//! Dark blobs that are ellipses are measured by their moments, joined to a lattice by prediction from dot to dot, and
+//! labelled where the lattice is the whole grid in one way. The middle of an ellipse is not where the middle of the dot
+//! is: what perspective makes of a circle is known from the grid around it, and taken away.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use boresight_data::{CircleLayout, Geometry, GrayImage, Observation, PointId, Target};
+use boresight_geometry::nalgebra::{Matrix3, Vector3};
+
+use crate::blobs::{Blob, find_blobs};
+use crate::detection::{Detection, Missed};
+use crate::lattice::distance;
+use crate::local_map::LocalMap;
+
+/// Shares of the image's shorter side over which the grey values around a place are averaged, to tell dark from bright.
+const WINDOW_SHARES: [f64; 4] = [0.05, 0.12, 0.025, 0.3];
+/// A dot may be off by this share of a step.
+const MISS_SHARE: f64 = 0.3;
+/// Lattices begin at this many dots at most.
+const SEEDS: usize = 12;
+/// The scatter of a measured dot that noise does not explain, in pixels.
+const MODEL_SIGMA_PX: f64 = 0.01;
+
+/// Tells whether a target is a grid of dots.
+pub(crate) fn handles(geometry: &Geometry) -> bool {
+    matches!(geometry, Geometry::Circles { .. })
+}
+
+/// Detects the dots of a grid.
+pub(crate) fn detect(image: &GrayImage, target: &Target) -> Detection {
+    let Geometry::Circles { columns, rows, spacing_m, layout } = target.geometry else {
+        return Detection::missed(Missed::NoBoard);
+    };
+    let places: Vec<[i32; 2]> = (0..target.point_count() as u32)
+        .map(|i| {
+            let at = target.drawn_point(PointId(i));
+            [at.x, at.y].map(|metres| (metres / spacing_m).round() as i32)
+        })
+        .collect();
+    let mut best = Detection::missed(Missed::NoBoard);
+    for share in WINDOW_SHARES {
+        let blobs = find_blobs(image, share);
+        let found = label(&blobs, &places, [columns, rows], layout);
+        if found.is_better_than(&best) {
+            best = found;
+        }
+        if !best.observations.is_empty() {
+            break;
+        }
+    }
+    best
+}
+
+/// Returns the dots at `places` (in distances between rows) among blobs.
+fn label(blobs: &[Blob], places: &[[i32; 2]], [columns, rows]: [u32; 2], layout: CircleLayout) -> Detection {
+    let largest = lattices(blobs).into_iter().max_by_key(|lattice| lattice.len()).unwrap_or_default();
+    if largest.len() < 4 {
+        return Detection::missed(Missed::NoBoard);
+    }
+    // The steps of an asymmetric grid are its diagonals; either of them may have been the first.
+    let straight = |at: &[i32; 2]| match layout {
+        CircleLayout::Symmetric => *at,
+        CircleLayout::Asymmetric => [at[0] - at[1], at[0] + at[1]],
+    };
+    let wanted: BTreeSet<[i32; 2]> = places.iter().copied().collect();
+    let mut possible: Vec<BTreeMap<[i32; 2], usize>> = Vec::new();
+    for quarters in 0..4 {
+        let turned: BTreeMap<[i32; 2], usize> = largest
+            .iter()
+            .map(|(at, blob)| {
+                let [x, y] = straight(at);
+                let turned = [[x, y], [y, -x], [-x, -y], [-y, x]][quarters];
+                (turned, *blob)
+            })
+            .collect();
+        let low = |axis: usize| turned.keys().map(|at| at[axis]).min().unwrap_or(0);
+        let low = [low(0), low(1)];
+        let moved: BTreeMap<[i32; 2], usize> =
+            turned.iter().map(|(at, blob)| ([at[0] - low[0], at[1] - low[1]], *blob)).collect();
+        if moved.len() == wanted.len() && moved.keys().all(|at| wanted.contains(at)) {
+            possible.push(moved);
+        }
+    }
+    // Of turns that the grid does not tell apart, the most upright is taken.
+    let upright = |dots: &BTreeMap<[i32; 2], usize>| {
+        let first = blobs[dots[&places[0]]].pixel;
+        let along = blobs[dots[&places[columns as usize - 1]]].pixel;
+        (along[0] - first[0]) / distance(first, along).max(1e-9)
+    };
+    let Some(dots) = possible.into_iter().max_by(|a, b| upright(a).total_cmp(&upright(b))) else {
+        return Detection::missed(misfit(&largest, columns as usize * rows as usize, layout));
+    };
+    let pixels: BTreeMap<[i32; 2], [f64; 2]> =
+        dots.iter().map(|(at, blob)| (*at, blobs[*blob].pixel)).collect();
+    // The radius of a dot in units, from its area and the local scale.
+    let maps: Vec<Option<LocalMap>> = places.iter().map(|at| map_near(&pixels, *at)).collect();
+    let mut squares: Vec<f64> = places
+        .iter()
+        .zip(&maps)
+        .filter_map(|(at, map)| {
+            let [[a, b], [c, d]] = map.as_ref()?.steps_px(1.0);
+            Some(blobs[dots[at]].area_px / (std::f64::consts::PI * (a * d - b * c).abs()))
+        })
+        .collect();
+    squares.sort_by(f64::total_cmp);
+    let radius2 = squares.get(squares.len() / 2).copied().unwrap_or(0.0);
+    let observations: Vec<Observation> = places
+        .iter()
+        .zip(&maps)
+        .enumerate()
+        .map(|(i, (at, map))| {
+            let blob = &blobs[dots[at]];
+            let bias = map.as_ref().map_or([0.0; 2], |map| centre_bias(map, radius2));
+            let sigma_px = blob.sigma_px.hypot(MODEL_SIGMA_PX);
+            Observation {
+                point: PointId(i as u32),
+                pixel: [0, 1].map(|axis| blob.pixel[axis] - bias[axis]),
+                sigma_px,
+            }
+        })
+        .collect();
+    Detection { observations, missed: None, pattern: None }
+}
+
+/// Says why a lattice is not the grid.
+fn misfit(lattice: &BTreeMap<[i32; 2], usize>, need: usize, layout: CircleLayout) -> Missed {
+    let extent = |axis: usize| {
+        let along = || lattice.keys().map(|at| at[axis]);
+        along().max().unwrap_or(0) - along().min().unwrap_or(0) + 1
+    };
+    let [a, b] = [extent(0), extent(1)];
+    let is_whole = layout == CircleLayout::Symmetric && (a * b) as usize == lattice.len();
+    if is_whole && lattice.len() >= 9 && a.min(b) >= 2 {
+        Missed::OtherDots { columns: a.max(b) as u32, rows: a.min(b) as u32 }
+    } else if lattice.len() == need {
+        Missed::Contradiction { corners: lattice.len() }
+    } else {
+        Missed::Ambiguous { corners: lattice.len() }
+    }
+}
+
+/// Returns the lattices of blobs: whole coordinates, the second axis turned from the first as +v from +u.
+fn lattices(blobs: &[Blob]) -> Vec<BTreeMap<[i32; 2], usize>> {
+    let mut taken = vec![false; blobs.len()];
+    let mut found = Vec::new();
+    let near: Vec<Vec<usize>> = (0..blobs.len()).map(|i| nearest(blobs, i, 8)).collect();
+    // Blobs among alike blobs come first.
+    let mut order: Vec<usize> = (0..blobs.len()).collect();
+    let spread = |i: usize| {
+        let ratio = |j: &usize| (blobs[*j].area_px / blobs[i].area_px).ln().abs();
+        near[i].iter().take(4).map(ratio).fold(0.0, f64::max)
+    };
+    order.sort_by(|&a, &b| spread(a).total_cmp(&spread(b)).then(a.cmp(&b)));
+    for &seed in order.iter().filter(|seed| near[**seed].len() >= 3) {
+        if taken[seed] || found.len() >= SEEDS {
+            continue;
+        }
+        let step = |j: usize| [0, 1].map(|axis| blobs[j].pixel[axis] - blobs[seed].pixel[axis]);
+        let a = step(near[seed][0]);
+        let across = |b: [f64; 2]| a[0] * b[1] - a[1] * b[0];
+        let is_across = |b: &[f64; 2]| across(*b).abs() > 0.5 * a[0].hypot(a[1]) * b[0].hypot(b[1]);
+        let Some(b) = near[seed].iter().skip(1).map(|j| step(*j)).find(is_across) else { continue };
+        let b = if across(b) > 0.0 { b } else { b.map(|c| -c) };
+        let lattice = grow(blobs, seed, [a, b]);
+        lattice.values().for_each(|blob| taken[*blob] = true);
+        found.push(lattice);
+    }
+    found
+}
+
+fn nearest(blobs: &[Blob], i: usize, count: usize) -> Vec<usize> {
+    let mut others: Vec<usize> = (0..blobs.len()).filter(|j| *j != i).collect();
+    let away = |j: usize| distance(blobs[i].pixel, blobs[j].pixel);
+    others.sort_by(|&a, &b| away(a).total_cmp(&away(b)).then(a.cmp(&b)));
+    others.truncate(count);
+    others
+}
+
+/// Grows a lattice from a blob by its first steps, each further one foretold by the last.
+fn grow(blobs: &[Blob], seed: usize, steps: [[f64; 2]; 2]) -> BTreeMap<[i32; 2], usize> {
+    let mut placed = BTreeMap::from([([0, 0], seed)]);
+    let mut open = VecDeque::from([([0, 0], steps)]);
+    let mut used = vec![false; blobs.len()];
+    used[seed] = true;
+    while let Some((at, steps)) = open.pop_front() {
+        let here = blobs[placed[&at]];
+        for (axis, sign) in [(0, 1), (1, 1), (0, -1), (1, -1)] {
+            let mut next = at;
+            next[axis] += sign;
+            if placed.contains_key(&next) {
+                continue;
+            }
+            // What the opposite neighbour shows is nearer to the truth than the step of the first dot.
+            let mut behind = at;
+            behind[axis] -= sign;
+            let step = match placed.get(&behind) {
+                Some(behind) => [0, 1].map(|i| here.pixel[i] - blobs[*behind].pixel[i]),
+                None => steps[axis].map(|s| s * f64::from(sign)),
+            };
+            let foretold = [0, 1].map(|i| here.pixel[i] + step[i]);
+            let length = step[0].hypot(step[1]);
+            let away = |j: &usize| distance(blobs[*j].pixel, foretold);
+            let is_like = |j: &usize| (0.5..2.0).contains(&(blobs[*j].area_px / here.area_px));
+            let candidates =
+                (0..blobs.len()).filter(|j| !used[*j] && away(j) < MISS_SHARE * length && is_like(j));
+            let Some(found) = candidates.min_by(|a, b| away(a).total_cmp(&away(b)).then(a.cmp(b))) else {
+                continue;
+            };
+            used[found] = true;
+            placed.insert(next, found);
+            let mut own = steps;
+            own[axis] = [0, 1].map(|i| (blobs[found].pixel[i] - here.pixel[i]) * f64::from(sign));
+            open.push_back((next, own));
+        }
+    }
+    placed
+}
+
+/// Returns the map of the grid to the image near a dot.
+fn map_near(pixels: &BTreeMap<[i32; 2], [f64; 2]>, at: [i32; 2]) -> Option<LocalMap> {
+    let near = pixels
+        .range([at[0] - 3, i32::MIN]..=[at[0] + 3, i32::MAX])
+        .filter(|(place, _)| (place[1] - at[1]).abs() <= 3)
+        .map(|(place, pixel)| ([place[0] - at[0], place[1] - at[1]].map(f64::from), *pixel));
+    LocalMap::fitted(near)
+}
+
+/// Returns by how much the middle of the ellipse that a circle becomes is off the image of the circle's middle.
+fn centre_bias(map: &LocalMap, radius2: f64) -> [f64; 2] {
+    let h = Matrix3::from_row_slice(&map.homography());
+    let Some(inverse) = h.try_inverse() else { return [0.0; 2] };
+    let conic = inverse.transpose() * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, -radius2)) * inverse;
+    // The middle is where the gradient of the conic vanishes.
+    let determinant = conic[(0, 0)] * conic[(1, 1)] - conic[(0, 1)].powi(2);
+    let middle = [
+        (conic[(0, 1)] * conic[(1, 2)] - conic[(1, 1)] * conic[(0, 2)]) / determinant,
+        (conic[(0, 1)] * conic[(0, 2)] - conic[(0, 0)] * conic[(1, 2)]) / determinant,
+    ];
+    let bias = [middle[0] - h[(0, 2)], middle[1] - h[(1, 2)]];
+    if bias.iter().all(|b| b.is_finite()) { bias } else { [0.0; 2] }
+}
