@@ -1,6 +1,7 @@
 //! The long text of each code that a finding may bear.
 
 use crate::hand_eye::{ROBOT_CODES, explain_robot};
+use crate::recording_texts::RECORDING_TEXTS;
 use crate::robot_texts::TEXTS;
 
 /// The codes of findings about the input, which are noticed while reading.
@@ -83,14 +84,21 @@ const OF_INPUT: &[(&str, &str)] = &[
 /// Returns the long text of a code: what it means, why it matters, how to fix it. `None` for an unknown code.
 pub fn explain(code: &str) -> Option<&'static str> {
     let of_input = || OF_INPUT.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
+    let of_recording = || RECORDING_TEXTS.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
     let of_plane = || TEXTS.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
-    boresight_validate::explain(code).or_else(of_input).or_else(|| explain_robot(code)).or_else(of_plane)
+    boresight_validate::explain(code)
+        .or_else(of_input)
+        .or_else(|| explain_robot(code))
+        .or_else(of_plane)
+        .or_else(of_recording)
 }
 
 /// Returns all codes in alphabetical order.
 pub fn codes() -> Vec<&'static str> {
     let mut codes = boresight_validate::codes();
-    codes.extend(OF_INPUT.iter().chain(ROBOT_CODES).chain(TEXTS).map(|(code, _)| *code));
+    codes.extend(
+        OF_INPUT.iter().chain(ROBOT_CODES).chain(TEXTS).chain(RECORDING_TEXTS).map(|(code, _)| *code),
+    );
     codes.sort_unstable();
     codes
 }

@@ -27,6 +27,8 @@ mod images;
 mod known_rig;
 mod locate;
 mod options;
+mod recording_texts;
+mod recordings;
 mod results;
 mod robot_error;
 mod robot_plane;
@@ -48,12 +50,15 @@ pub use boresight_data::{
 };
 pub use boresight_geometry::{Pose, Vector3};
 pub use boresight_io::{
-    Error as IoError, FORMATS, IMAGE_EXTENSIONS, ImageFile, ImageJob, Job, JobOverrides, Kind as IoKind,
-    NamedCamera, OutputFile, PLANE_SCHEMA, PlanarMotionRow, PlaneDocument, RobotAxes, RobotInput, RobotJob,
-    RobotOverrides, RobotTable, SeenImage, TouchDocument, TriedDocument, calibration_to_json, corners_to_csv,
-    export, hash, is_pattern, load_images, load_job, matrices_to_json, matrices_to_npy, matrices_to_text,
+    CameraPair, Clock, Contents, DetectionCache, Error as IoError, FORMATS, IMAGE_EXTENSIONS, ImageFile,
+    ImageJob, ImageTopic, Job, JobOverrides, Kind as IoKind, NamedCamera, OutputFile, PLANE_SCHEMA,
+    PlanarMotionRow, PlaneDocument, RecordingJob, RecordingOptions, RobotAxes, RobotInput, RobotJob,
+    RobotOverrides, RobotTable, SeenImage, SeenRecorded, StatedCamera, Survey, Topic, TouchDocument,
+    TriedDocument, calibration_to_json, calibration_to_mcap, corners_to_csv, export, hash, is_pattern,
+    load_images, load_job, load_recordings, matrices_to_json, matrices_to_npy, matrices_to_text,
     overlay_to_png, parse_target, plane_to_json, read_calibration, read_cameras, read_image,
-    read_planar_motions, read_plane, read_robot_job, write_atomically, write_files,
+    read_observations, read_planar_motions, read_plane, read_robot_job, survey_recordings, write_atomically,
+    write_files,
 };
 pub use boresight_seed::planar_robot::{PLANAR_NAMES, PlanarError, PlanarMotion, PlanarRobot, planar_robot};
 pub use boresight_validate::{
@@ -74,10 +79,11 @@ pub use hand_eye::{
     PoseReadings, SigmaSource, WorkingPoint, check_motions, describe_reading, hand_eye, read_poses,
 };
 pub use held_out::held_out;
-pub use images::{ImageProgress, detect_images, load};
+pub use images::{DetectWatch, ImageProgress, Stages, detect_images, detection_cache, load};
 pub use known_rig::KnownRig;
 pub use locate::{Candidate, LocatePoint, Located, locate};
 pub use options::CalibrateOptions;
+pub use recordings::detect_recordings;
 pub use results::{RESULT_FILES, result_files, sigma_of, write_results};
 pub use uncertainty::{CameraUncertainty, UncertaintyOptions, UncertaintyReport, uncertainty};
 pub use verify::{CameraVerification, Verification, verify};

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use boresight::{HoldoutChoice, LossChoice, Model, RegularizationChoice, RejectChoice, ShapeChoice, Target};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
-use crate::inputs::{CameraImages, ImageSize};
+use crate::inputs::{CameraImages, ClockChoice, ImageSize, Time};
 use crate::robot::RobotCommand;
 use crate::stereo::StereoArguments;
 
@@ -68,7 +68,7 @@ pub(crate) enum Command {
 /// Images or corners, and what a job file would say about them.
 #[derive(Args, Debug)]
 pub(crate) struct InputArguments {
-    /// Images, folders of images or patterns; or a folder with a boresight.toml, a job file, or corner files (.csv, .vnl)
+    /// Images, folders of images or patterns; MCAP recordings; or a folder with a boresight.toml, a job file, or corner files (.csv, .vnl)
     #[arg(value_name = "INPUT", required_unless_present = "config")]
     pub inputs: Vec<PathBuf>,
     /// The job file, for corner files that lie elsewhere
@@ -80,9 +80,17 @@ pub(crate) struct InputArguments {
     /// Width and height of the images in pixels, of all cameras or of one; may be repeated
     #[arg(long, value_name = "WxH or NAME=WxH")]
     pub image_size: Vec<ImageSize>,
-    /// Which images a camera took, such as left='left*.png'; may be repeated [default: told by folders and names]
+    /// Which images a camera took, such as left='left*.png', or which topic is its own; may be repeated
+    /// [default: told by folders, names and topics]
     #[arg(long, value_name = "NAME=PATTERN")]
     pub camera: Vec<CameraImages>,
+    /// Which times of a recording are believed [default: header]
+    #[arg(long, value_name = "header|log")]
+    pub clock: Option<ClockChoice>,
+    /// How far apart in time images of a recording are of one frame, such as 5ms [default: a quarter of the time from
+    /// image to image, 15ms at most]
+    #[arg(long, value_name = "TIME")]
+    pub sync_tolerance: Option<Time>,
 }
 
 #[derive(Args, Debug)]

@@ -17,10 +17,13 @@ use crate::figures::count;
 use crate::streams::{answer, note};
 use crate::{inputs, progress, summary};
 
+/// The file, within the output's folder, in which detections are remembered.
+const DETECTIONS_FILE: &str = "detections.json";
+
 /// Calibrates, writes, and prints the summary or the calibration.
 pub(crate) fn run(arguments: &CalibrateArguments) -> Result<ExitCode, Failure> {
     let begin = Instant::now();
-    let job = inputs::load(&arguments.input)?;
+    let job = inputs::load_remembering(&arguments.input, &arguments.output.join(DETECTIONS_FILE))?;
     let options = layered(&job, arguments)?;
     let cancel = cancelled_by_ctrl_c()?;
     let (bar, observer) = progress::start();

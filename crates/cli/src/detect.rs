@@ -1,31 +1,34 @@
 //! `boresight detect`.
 
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use boresight::{
-    Observation, OutputFile, Target, corners_to_csv, detect_images, load_images, overlay_to_png, read_image,
-    write_files,
+    Job, Observation, OutputFile, RecordingJob, SeenImage, Target, corners_to_csv, load_images,
+    load_recordings, overlay_to_png, read_image, write_files,
 };
 
 use crate::arguments::DetectArguments;
 use crate::calibrate::tell_findings;
 use crate::failure::{Failure, Reason};
+use crate::inputs;
 use crate::streams::{answer, note};
 use crate::table::{aligned, row};
-use crate::{inputs, progress};
 
 /// Detects the target in images, and prints the corners as a table that `calibrate` reads, or writes files.
 pub(crate) fn run(arguments: &DetectArguments) -> Result<ExitCode, Failure> {
     let overrides = inputs::overrides(&arguments.input);
     let paths: Vec<PathBuf> = inputs::paths(&arguments.input)?;
+    if let Some(recordings) = load_recordings(&paths, &overrides)? {
+        return in_recordings(arguments, recordings);
+    }
     let Some(images) = load_images(&paths, &overrides)? else {
         return Err(Failure::new(Reason::Usage, "there are no images among the inputs")
-            .with_hint("name images, folders of images, or patterns such as 'left*.jpg'"));
+            .with_hint("name images, folders of images, patterns such as 'left*.jpg', or MCAP recordings"));
     };
-    let (bar, tell) = progress::of_images();
-    let seen = detect_images(&images, &tell);
-    bar.finish_and_clear();
+    let seen = inputs::detect_in_images(&images, None)?;
 
     let mut rows = vec![row(["image", "size", "points", "sigma px", "why not"])];
     for (image, seen) in images.images.iter().zip(&seen) {
@@ -54,9 +57,69 @@ pub(crate) fn run(arguments: &DetectArguments) -> Result<ExitCode, Failure> {
         }
         note(&format!("overlays: {}", folder.display()));
     }
-    let table = aligned(&rows);
-    note(&table);
-    let job = images.with_detections(seen)?;
+    note(&aligned(&rows));
+    give_corners(arguments, &images.with_detections(seen)?, &total)
+}
+
+/// Detects the target in the images of recordings.
+fn in_recordings(arguments: &DetectArguments, recordings: RecordingJob) -> Result<ExitCode, Failure> {
+    let (contents, seen) = inputs::detect_in_recordings(&recordings, None)?;
+    let mut rows = vec![row(["topic", "images", "with the target", "points", "sigma px", "unreadable"])];
+    let mut n_used = 0;
+    for (topic_idx, topic) in contents.topics.iter().enumerate().filter(|(_, topic)| topic.is_of_images()) {
+        let of_topic = || seen.iter().filter(|seen| seen.topic_idx == topic_idx);
+        let readable = || of_topic().filter_map(|seen| seen.seen.as_ref().ok());
+        let used = readable().filter(|(_, seen)| !seen.observations.is_empty()).count();
+        n_used += used;
+        let observations: Vec<Observation> =
+            readable().flat_map(|(_, seen)| seen.observations.iter().copied()).collect();
+        let sigma = median_sigma(&observations);
+        rows.push(row([
+            &topic.name,
+            &of_topic().count().to_string(),
+            &used.to_string(),
+            &observations.len().to_string(),
+            &sigma.map_or_else(|| "-".to_owned(), |sigma| format!("{sigma:.3}")),
+            &(of_topic().count() - readable().count()).to_string(),
+        ]));
+    }
+    let total = format!("{n_used} of {} images show the target", seen.len());
+    if let Some(folder) = &arguments.overlays {
+        let known: BTreeMap<(usize, usize), &SeenImage> = seen
+            .iter()
+            .filter_map(|seen| Some(((seen.topic_idx, seen.index), &seen.seen.as_ref().ok()?.1)))
+            .collect();
+        let columns = columns_of(recordings.target());
+        let mut wrong = None;
+        recordings.read(&mut |image| {
+            let Some(seen) = known.get(&(image.topic_idx, image.index)) else {
+                return ControlFlow::Continue(());
+            };
+            let Ok(decoded) = image.decode() else { return ControlFlow::Continue(()) };
+            let topic = contents.topics.get(image.topic_idx).map_or("", |topic| topic.name.as_str());
+            let name =
+                format!("{}-{:06}.png", topic.trim_matches('/').replace(['/', '\\'], "-"), image.index);
+            let written = overlay_to_png(&decoded.image, &seen.observations, columns)
+                .and_then(|bytes| write_files(folder, &[OutputFile { name, bytes }]));
+            match written {
+                Ok(()) => ControlFlow::Continue(()),
+                Err(error) => {
+                    wrong = Some(error);
+                    ControlFlow::Break(())
+                }
+            }
+        })?;
+        if let Some(error) = wrong {
+            return Err(error.into());
+        }
+        note(&format!("overlays: {}", folder.display()));
+    }
+    note(&aligned(&rows));
+    give_corners(arguments, &recordings.with_detections(contents, seen)?, &total)
+}
+
+/// Tells what was noticed, and prints or writes the corners.
+fn give_corners(arguments: &DetectArguments, job: &Job, total: &str) -> Result<ExitCode, Failure> {
     tell_findings(&job.findings);
     let corners = corners_to_csv(&job.dataset).into_bytes();
     match &arguments.output {
@@ -67,7 +130,7 @@ pub(crate) fn run(arguments: &DetectArguments) -> Result<ExitCode, Failure> {
             answer(format!("{total}\nwritten: {}\n", path.display()).as_bytes())?;
         }
         None => {
-            note(&total);
+            note(total);
             answer(&corners)?;
         }
     }

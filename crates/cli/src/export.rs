@@ -2,16 +2,28 @@
 
 use std::process::ExitCode;
 
-use boresight::{export, read_calibration, write_files};
+use boresight::{calibration_to_mcap, export, read_calibration, read_observations, write_files};
 
 use crate::arguments::ExportArguments;
 use crate::failure::Failure;
 use crate::streams::answer;
 
+/// The file beside a calibration that has its corners.
+const OBSERVATIONS: &str = "observations.parquet";
+
 /// Writes a calibration in another format, and prints the files' names.
 pub(crate) fn run(arguments: &ExportArguments) -> Result<ExitCode, Failure> {
     let (calibration, _) = read_calibration(&arguments.result)?;
-    let files = export(&calibration, &arguments.to)?;
+    let beside = if arguments.result.is_dir() {
+        arguments.result.join(OBSERVATIONS)
+    } else {
+        arguments.result.with_file_name(OBSERVATIONS)
+    };
+    let files = if arguments.to == "mcap" && beside.is_file() {
+        calibration_to_mcap(&calibration, &read_observations(&beside)?)?
+    } else {
+        export(&calibration, &arguments.to)?
+    };
     write_files(&arguments.output, &files)?;
     let names: String =
         files.iter().map(|file| format!("{}\n", arguments.output.join(&file.name).display())).collect();

@@ -4,7 +4,8 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use boresight::{
-    CalibrateOptions, Dataset, Id as _, Job, NamedCamera, read_calibration, read_cameras, verdict,
+    CalibrateOptions, Dataset, Id as _, Job, NamedCamera, StatedCamera, Survey, read_calibration,
+    read_cameras, survey_recordings, verdict,
 };
 
 use crate::arguments::InfoArguments;
@@ -20,6 +21,17 @@ pub(crate) fn run(arguments: &InfoArguments) -> Result<ExitCode, Failure> {
     let text = match &arguments.input.inputs[..] {
         [path] if is_calibration(path) => of_calibration(path)?,
         [path] if is_cameras(path) => of_cameras(&read_cameras(path)?),
+        recordings if recordings.iter().all(|path| is_recording(path)) && !recordings.is_empty() => {
+            if arguments.input.target.is_none() && arguments.input.config.is_none() {
+                let survey = survey_recordings(recordings, &inputs::recording_options(&arguments.input))?;
+                tell_findings(&survey.findings);
+                of_recordings(&survey)
+            } else {
+                let job = inputs::load(&arguments.input)?;
+                tell_findings(&job.findings);
+                of_job(&job)?
+            }
+        }
         _ => {
             let job = inputs::load(&arguments.input)?;
             tell_findings(&job.findings);
@@ -40,6 +52,10 @@ fn is_calibration(path: &Path) -> bool {
 
 fn is_cameras(path: &Path) -> bool {
     has_extension(path, &["cameramodel", "yml", "yaml"])
+}
+
+fn is_recording(path: &Path) -> bool {
+    has_extension(path, &["mcap"]) && !path.is_dir()
 }
 
 fn has_extension(path: &Path, extensions: &[&str]) -> bool {
@@ -80,6 +96,70 @@ fn of_cameras(cameras: &[NamedCamera]) -> String {
         text.push('\n');
     }
     text
+}
+
+fn of_recordings(survey: &Survey) -> String {
+    let seconds = |time_ns: i64| time_ns as f64 / 1e9;
+    let mut rows = vec![row(["topic", "schema", "encoding", "messages"])];
+    for topic in &survey.topics {
+        rows.push(row([&topic.name, &topic.schema, &topic.encoding, &topic.messages.to_string()]));
+    }
+    let mut text = aligned(&rows);
+    let mut rows = vec![row(["camera", "topic", "images", "size", "pixels", "s", "images/s", "said of it"])];
+    for image in &survey.images {
+        let sizes: Vec<String> =
+            image.sizes.iter().map(|[width, height]| format!("{width}x{height}")).collect();
+        let span = image.span_ns.map(|[first, last]| seconds(last.saturating_sub(first)));
+        let or_dash =
+            |text: Option<String>| text.filter(|text| !text.is_empty()).unwrap_or_else(|| "-".to_owned());
+        rows.push(row([
+            &image.camera,
+            &image.topic,
+            &image.messages.to_string(),
+            &or_dash(Some(sizes.join(" "))),
+            &or_dash(Some(image.encodings.join(" "))),
+            &or_dash(span.map(|span| format!("{span:.2}"))),
+            &or_dash(image.period_ns.map(|period| format!("{:.2}", 1.0 / seconds(period)))),
+            &or_dash(image.camera_info.as_ref().map(camera_info_in_words)),
+        ]));
+    }
+    if !survey.images.is_empty() {
+        text.push('\n');
+        text.push_str(&aligned(&rows));
+    }
+    for pair in &survey.pairs {
+        let [first, second] = &pair.cameras;
+        text.push_str(&format!(
+            "\n{}: {} of {} images within {:.2} ms; time of {second} less {first}, in ms:\n",
+            pair.describe(),
+            pair.within,
+            pair.pairs,
+            survey.tolerance_ns as f64 / 1e6,
+        ));
+        let [from, to] = pair.histogram_range_ns.map(|time| time as f64 / 1e6);
+        let width = (to - from) / pair.histogram.len() as f64;
+        let most = pair.histogram.iter().copied().max().unwrap_or(0).max(1);
+        let mut bars = Vec::new();
+        for (i, count) in pair.histogram.iter().enumerate() {
+            let begin = from + i as f64 * width;
+            let bar = "#".repeat((count * 40).div_ceil(most));
+            bars.push(
+                format!("{begin:10.3} to {:10.3} {count:6} {bar}", begin + width).trim_end().to_owned(),
+            );
+        }
+        text.push_str(&bars.join("\n"));
+        text.push('\n');
+    }
+    text
+}
+
+fn camera_info_in_words(info: &StatedCamera) -> String {
+    let [width, height] = info.image_size;
+    let [fx, fy, cx, cy] = info.intrinsics.map(significant);
+    if info.intrinsics[0] == 0.0 {
+        return format!("{width}x{height}, not calibrated");
+    }
+    format!("{width}x{height} {} fx {fx} fy {fy} cx {cx} cy {cy}", info.distortion_model)
 }
 
 fn of_job(job: &Job) -> Result<String, Failure> {

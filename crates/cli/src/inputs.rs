@@ -1,15 +1,19 @@
 //! From the arguments to a loaded job.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::time::Instant;
 
 use boresight::{
-    Job, JobOverrides, RobotOverrides, Target, detect_images, is_pattern, load_images, load_job,
+    Clock, DetectWatch, DetectionCache, ImageJob, IoError, Job, JobOverrides, RecordingJob, RecordingOptions,
+    RobotOverrides, SeenImage, Stages, Target, detect_images, detect_recordings, detection_cache, is_pattern,
+    load_images, load_job, load_recordings,
 };
 
 use crate::arguments::InputArguments;
 use crate::failure::{Failure, Reason};
 use crate::progress;
+use crate::streams::note;
 
 /// The size of the images of a camera, or of all.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -72,6 +76,37 @@ impl FromStr for CameraImages {
     }
 }
 
+/// A time, written with its unit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Time {
+    /// In nanoseconds.
+    pub ns: i64,
+}
+
+impl FromStr for Time {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || "write a time with its unit, such as 20ms, 0.5s or 800us".to_owned();
+        let units = [("ns", 1.0), ("us", 1e3), ("ms", 1e6), ("s", 1e9)];
+        let (number, unit_ns) =
+            units.iter().find_map(|(unit, ns)| Some((text.strip_suffix(unit)?, ns))).ok_or_else(wrong)?;
+        let number: f64 = number.trim().parse().map_err(|_| wrong())?;
+        let ns = number * unit_ns;
+        // A million seconds are more than any recording has.
+        if (0.0..=1e15).contains(&ns) { Ok(Self { ns: ns.round() as i64 }) } else { Err(wrong()) }
+    }
+}
+
+/// Which times of a recording are believed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum ClockChoice {
+    /// The time stamps in the messages
+    Header,
+    /// The times of recording
+    Log,
+}
+
 /// Returns the inputs that the arguments name; those that do not exist are answered at once.
 pub(crate) fn paths(arguments: &InputArguments) -> Result<Vec<PathBuf>, Failure> {
     let inputs: Vec<PathBuf> = arguments.config.iter().chain(&arguments.inputs).cloned().collect();
@@ -95,22 +130,114 @@ pub(crate) fn overrides(arguments: &InputArguments) -> JobOverrides {
         sigma_px: None,
         cameras: arguments.camera.iter().map(camera).collect(),
         robot: RobotOverrides::default(),
+        recording: recording_options(arguments),
+    }
+}
+
+/// Returns what the arguments say of how recordings are read.
+pub(crate) fn recording_options(arguments: &InputArguments) -> RecordingOptions {
+    RecordingOptions {
+        clock: arguments.clock.map(|choice| match choice {
+            ClockChoice::Header => Clock::Header,
+            ClockChoice::Log => Clock::Log,
+        }),
+        tolerance_ns: arguments.sync_tolerance.map(|time| time.ns),
     }
 }
 
 /// Loads the job that the arguments name, with the corners of images detected.
 pub(crate) fn load(arguments: &InputArguments) -> Result<Job, Failure> {
-    load_with_robot(arguments, RobotOverrides::default())
+    load_with(arguments, RobotOverrides::default(), None)
 }
 
 /// Loads the job that the arguments name, with what the command line says of its robot.
 pub(crate) fn load_with_robot(arguments: &InputArguments, robot: RobotOverrides) -> Result<Job, Failure> {
+    load_with(arguments, robot, None)
+}
+
+/// Loads the job that the arguments name; what is detected is remembered in a file.
+pub(crate) fn load_remembering(arguments: &InputArguments, cache: &Path) -> Result<Job, Failure> {
+    load_with(arguments, RobotOverrides::default(), Some(cache))
+}
+
+/// Detects the target in images, tells where the time went, and remembers what was seen.
+pub(crate) fn detect_in_images(
+    images: &ImageJob,
+    cache_path: Option<&Path>,
+) -> Result<Vec<Result<SeenImage, IoError>>, Failure> {
+    let detecting = Detecting::new(images.target(), cache_path);
+    let seen = detecting.watched(|watch| detect_images(images, watch));
+    detecting.finish(seen.iter().flatten())?;
+    Ok(seen)
+}
+
+/// Detects the target in the images of recordings, tells where the time went, and remembers what was seen.
+pub(crate) fn detect_in_recordings(
+    recordings: &RecordingJob,
+    cache_path: Option<&Path>,
+) -> Result<(boresight::Contents, Vec<boresight::SeenRecorded>), Failure> {
+    let detecting = Detecting::new(recordings.target(), cache_path);
+    let (contents, seen) = detecting.watched(|watch| detect_recordings(recordings, watch))?;
+    detecting.finish(seen.iter().filter_map(|seen| seen.seen.as_ref().ok().map(|(_, seen)| seen)))?;
+    Ok((contents, seen))
+}
+
+/// A detection that is followed and remembered.
+struct Detecting<'a> {
+    cache: DetectionCache,
+    cache_path: Option<&'a Path>,
+    stages: Stages,
+    begin: Instant,
+}
+
+impl<'a> Detecting<'a> {
+    fn new(target: &Target, cache_path: Option<&'a Path>) -> Self {
+        let cache = cache_path.map(|path| detection_cache(path, target)).unwrap_or_default();
+        Self { cache, cache_path, stages: Stages::default(), begin: Instant::now() }
+    }
+
+    fn watched<T>(&self, detect: impl FnOnce(&DetectWatch<'_>) -> T) -> T {
+        let (bar, tell) = progress::of_images();
+        let detected = detect(&DetectWatch { progress: &tell, cache: &self.cache, stages: &self.stages });
+        bar.finish_and_clear();
+        detected
+    }
+
+    /// Tells where the time went, and writes what was seen.
+    fn finish<'s>(self, seen: impl Iterator<Item = &'s SeenImage>) -> Result<(), Failure> {
+        let stages = &self.stages;
+        let remembered = match stages.remembered() {
+            0 => String::new(),
+            n => format!(", {n} remembered"),
+        };
+        note(&format!(
+            "{} images in {:.2} s: read {:.2} s; on all threads together decode {:.2} s, detect {:.2} s{remembered}",
+            stages.images(),
+            self.begin.elapsed().as_secs_f64(),
+            stages.read().as_secs_f64(),
+            stages.decode().as_secs_f64(),
+            stages.detect().as_secs_f64(),
+        ));
+        match self.cache_path {
+            Some(path) => Ok(self.cache.write(path, seen)?),
+            None => Ok(()),
+        }
+    }
+}
+
+fn load_with(
+    arguments: &InputArguments,
+    robot: RobotOverrides,
+    cache: Option<&Path>,
+) -> Result<Job, Failure> {
     let inputs = paths(arguments)?;
     let mut overrides = JobOverrides { robot, ..overrides(arguments) };
+    if let Some(recordings) = load_recordings(&inputs, &overrides)? {
+        let (contents, seen) = detect_in_recordings(&recordings, cache)?;
+        return Ok(recordings.with_detections(contents, seen)?);
+    }
     if let Some(images) = load_images(&inputs, &overrides)? {
-        let (bar, tell) = progress::of_images();
-        let seen = detect_images(&images, &tell);
-        bar.finish_and_clear();
+        let seen = detect_in_images(&images, cache)?;
         return Ok(images.with_detections(seen)?);
     }
     let sizes = &arguments.image_size;
@@ -158,6 +285,18 @@ pub(crate) fn load_with_robot(arguments: &InputArguments, robot: RobotOverrides)
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn times_are_read() {
+        let ns = |text: &str| text.parse::<Time>().map(|time| time.ns).ok();
+        assert_eq!(
+            [ns("20ms"), ns("0.5 s"), ns("800us"), ns("7ns")],
+            [20_000_000, 500_000_000, 800_000, 7].map(Some)
+        );
+        for text in ["", "20", "ms", "-1ms", "1h", "nans", "1e99s"] {
+            assert_eq!(ns(text), None, "{text}");
+        }
+    }
 
     #[test]
     fn image_sizes_are_read() {

@@ -10,6 +10,8 @@ mod calibrate;
 mod hand_eye;
 #[path = "e2e/images.rs"]
 mod images;
+#[path = "e2e/recordings.rs"]
+mod recordings;
 #[path = "e2e/results.rs"]
 mod results;
 #[path = "e2e/robot.rs"]

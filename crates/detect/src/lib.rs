@@ -24,4 +24,4 @@ mod saddles;
 mod votes;
 
 pub use detection::{Detection, Missed, Pattern};
-pub use registry::{DETECTORS, Detector, detect};
+pub use registry::{DETECTORS, DETECTORS_REVISION, Detector, detect};

@@ -23,6 +23,9 @@ pub const DETECTORS: &[Detector] = &[
     Detector { name: "circles", handles: circles::handles, detect: circles::detect },
 ];
 
+/// Counts up whenever a detector sees other points than before in the same image, so that nothing old is remembered.
+pub const DETECTORS_REVISION: u32 = 1;
+
 /// Detects the points of a target in an image: whole or in part, or not at all, with the reason.
 pub fn detect(image: &GrayImage, target: &Target) -> Detection {
     match DETECTORS.iter().find(|detector| (detector.handles)(&target.geometry)) {

@@ -75,6 +75,14 @@ pub enum Error {
         /// The size of the board that is seen in most of them, in inner corners.
         seen: Option<[u32; 2]>,
     },
+    /// A recording holds no images.
+    #[error("{file}: there are no images in it; {}", topics_in_words(topics))]
+    NoImageTopic {
+        /// The recordings.
+        file: String,
+        /// The topics there are, each with its schema and its encoding.
+        topics: Vec<String>,
+    },
     /// A file cannot be written.
     #[error("{file}: cannot be written: {source}")]
     Write {
@@ -433,6 +441,9 @@ impl Error {
                 "write chessboard:9x6:25mm (inner corners), charuco:14x9:40mm:30mm:5x5_1000 (squares, side of square and marker, dictionary), aprilgrid:6x6:88mm:0.3 (tags, side, gap as a share), circles:7x6:20mm or acircles:4x11:20mm",
             ),
             Error::Schema { .. } => text("a newer Boresight wrote it; read it with that, or update"),
+            Error::NoImageTopic { .. } => text(
+                "images are read as sensor_msgs Image and CompressedImage, and as foxglove RawImage and CompressedImage",
+            ),
             Error::NothingDetected { seen: Some([columns, rows]), .. } => {
                 Some(format!("count inner corners, not squares: is the target {columns}x{rows}?"))
             }
@@ -442,6 +453,16 @@ impl Error {
             Error::DuplicateView { .. } => text("a camera sees each frame once; are the frame names unique?"),
             _ => None,
         }
+    }
+}
+
+/// Lists topics, or says that there are none.
+fn topics_in_words(topics: &[String]) -> String {
+    const SHOWN: usize = 8;
+    let more = if topics.len() > SHOWN { ", ..." } else { "" };
+    match topics {
+        [] => "it has no topics".to_owned(),
+        topics => format!("its topics are {}{more}", topics[..topics.len().min(SHOWN)].join(", ")),
     }
 }
 

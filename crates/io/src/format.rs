@@ -10,7 +10,8 @@ use crate::error::closest;
 use crate::job::read;
 use crate::seen::SeenFile;
 use crate::{
-    Error, calibration_json, cameramodel, corners_csv, corners_vnl, h_matrix, opencv_yaml, write_atomically,
+    Error, calibration_json, cameramodel, corners_csv, corners_vnl, foxglove_mcap, h_matrix, opencv_yaml,
+    write_atomically,
 };
 
 /// A file format: what can be read from it and written to it.
@@ -57,6 +58,7 @@ pub const FORMATS: &[Format] = &[
     Format { name: "h-matrix", about: "the matrices P, M and H = P M as text", extensions: &["txt"], export: Some(h_matrix::export_text), ..NONE },
     Format { name: "h-matrix-json", about: "the matrices P, M and H = P M as JSON", extensions: &["json"], export: Some(h_matrix::export_json), ..NONE },
     Format { name: "h-matrix-npy", about: "the matrices H as a NumPy array [camera, 3, 4]", extensions: &["npy"], export: Some(h_matrix::export_npy), ..NONE },
+    Format { name: "mcap", about: "MCAP with Foxglove's CameraCalibration, FrameTransforms and ImageAnnotations, for viewers", extensions: &["mcap"], export: Some(foxglove_mcap::export), carries: foxglove_mcap::carries, ..NONE },
     Format { name: "csv", about: "corners as a table", extensions: &["csv"], read_corners: Some(corners_csv::read_csv), ..NONE },
     Format { name: "vnl", about: "corners as mrcal and mrgingham write them", extensions: &["vnl"], read_corners: Some(corners_vnl::read_vnl), ..NONE },
 ];

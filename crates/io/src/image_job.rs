@@ -10,7 +10,7 @@ use crate::assemble::{CameraSpec, assemble, natural_order};
 use crate::image_files::{ImageFile, find_images};
 use crate::image_names::{Listed, assign};
 use crate::image_pixels::{ReadImage, image_from_bytes};
-use crate::job::{Head, Job, JobOverrides, config, hash, head, read, robot_of};
+use crate::job::{Head, Job, JobOverrides, config, hash, head, named_inputs, read, robot_of};
 use crate::robot_input::RobotOverrides;
 use crate::seen::{SeenFile, SeenView, describe};
 
@@ -46,7 +46,10 @@ pub struct SeenImage {
 ///
 /// A job file beside the images tells target, cameras and options.
 pub fn load_images(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Option<ImageJob>, Error> {
-    let (images, others) = find_images(inputs)?;
+    let (mut images, others) = find_images(inputs)?;
+    if images.is_empty() {
+        images = find_images(&named_inputs(inputs)?.images)?.0;
+    }
     let Some(first) = images.first() else { return Ok(None) };
     let first = first.path.clone();
     let head = head(&others, overrides).map_err(|error| match error {
@@ -80,7 +83,7 @@ impl ImageJob {
     /// What cannot be used becomes a finding: unreadable images, copies, and those of another size than most of their
     /// camera. It is an error if nothing was detected at all.
     pub fn with_detections(self, seen: Vec<Result<SeenImage, Error>>) -> Result<Job, Error> {
-        let Self { images, head, cameras, robot } = self;
+        let Self { images, mut head, cameras, robot } = self;
         let names: Vec<&str> = images.iter().map(|image| image.name.as_str()).collect();
         let listed: Vec<Listed> = if cameras.is_empty() {
             head.job.cameras.iter().map(|spec| spec.listed.clone()).collect()
@@ -89,7 +92,7 @@ impl ImageJob {
         };
         let taken = assign("the images", &names, &listed)?;
         let mut findings = Findings::default();
-        let mut hashes = head.hashes;
+        let mut hashes = std::mem::take(&mut head.hashes);
         let mut first_of: BTreeMap<String, &str> = BTreeMap::new();
         let mut views: Vec<(SeenImage, SeenView)> = Vec::new();
         for ((image, taken), seen) in images.iter().zip(taken).zip(seen) {
@@ -120,26 +123,39 @@ impl ImageJob {
             };
             views.push((seen, view));
         }
-        let specs = specs(&listed, &views);
-        findings.note_sizes(&specs, &mut views);
-        findings.note_missed(&views);
-        if views.iter().all(|(_, view)| view.observations.is_empty()) {
-            return Err(nothing_detected(&head.target, images.len(), &views));
-        }
-        let view = |(_, view): (SeenImage, SeenView)| view;
-        let file = SeenFile {
-            file: "the images".to_owned(),
-            views: views.into_iter().map(view).collect(),
-            ..SeenFile::default()
-        };
-        let (mut dataset, noticed) = assemble(vec![file], &specs, None, head.target)?;
-        let robot = robot_of(&head.folder, head.job.robot.as_ref(), &robot, &mut dataset, &mut hashes)?;
-        let mut findings = findings.into_findings();
-        findings.extend(noticed);
-        let (options, options_place) = (head.job.options, head.options_place);
-        let known_lenses = head.job.known_lenses;
-        Ok(Job { dataset, options, options_place, inputs: hashes, findings, robot, known_lenses })
+        finish(Head { hashes, ..head }, &robot, &listed, images.len(), views, findings)
     }
+}
+
+/// Returns the job of views that know their cameras and frames; what was noticed so far is told with what is noticed here.
+pub(crate) fn finish(
+    head: Head,
+    robot: &RobotOverrides,
+    listed: &[Listed],
+    n_images: usize,
+    mut views: Vec<(SeenImage, SeenView)>,
+    mut findings: Findings<'_>,
+) -> Result<Job, Error> {
+    let mut hashes = head.hashes;
+    let specs = specs(listed, &views);
+    findings.note_sizes(&specs, &mut views);
+    findings.note_missed(&views);
+    if views.iter().all(|(_, view)| view.observations.is_empty()) {
+        return Err(nothing_detected(&head.target, n_images, &views));
+    }
+    let view = |(_, view): (SeenImage, SeenView)| view;
+    let file = SeenFile {
+        file: "the images".to_owned(),
+        views: views.into_iter().map(view).collect(),
+        ..SeenFile::default()
+    };
+    let (mut dataset, noticed) = assemble(vec![file], &specs, None, head.target)?;
+    let robot = robot_of(&head.folder, head.job.robot.as_ref(), robot, &mut dataset, &mut hashes)?;
+    let mut findings = findings.into_findings();
+    findings.extend(noticed);
+    let (options, options_place) = (head.job.options, head.options_place);
+    let known_lenses = head.job.known_lenses;
+    Ok(Job { dataset, options, options_place, inputs: hashes, findings, robot, known_lenses })
 }
 
 /// Returns the cameras with the size that most of their images have.
@@ -192,10 +208,11 @@ fn nothing_detected(target: &Target, images: usize, views: &[(SeenImage, SeenVie
 
 /// What is noticed about images; findings of one kind are told together.
 #[derive(Default)]
-struct Findings<'a> {
-    all: Vec<Finding>,
-    without_camera: Vec<&'a str>,
-    copies: Vec<(&'a str, &'a str)>,
+pub(crate) struct Findings<'a> {
+    pub(crate) all: Vec<Finding>,
+    pub(crate) without_camera: Vec<&'a str>,
+    /// Each copy with what it is a copy of.
+    pub(crate) copies: Vec<(&'a str, &'a str)>,
 }
 
 impl Findings<'_> {

@@ -10,6 +10,9 @@ use image::{DynamicImage, ImageDecoder as _, ImageReader, Rgb, RgbImage};
 
 use crate::Error;
 
+/// The most pixels that an image may have: beyond the largest sensors, and within what memory bears.
+pub(crate) const PIXEL_LIMIT: u64 = 160_000_000;
+
 /// An image as it was read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReadImage {
@@ -28,6 +31,12 @@ pub fn image_from_bytes(file: &str, bytes: &[u8]) -> Result<ReadImage, Error> {
     let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
     let reader = reader.map_err(|error| wrong(error.to_string()))?;
     let mut decoder = reader.into_decoder().map_err(|error| wrong(error.to_string()))?;
+    // The size is stated before the pixels are there, and a small file may state any.
+    let (width, height) = decoder.dimensions();
+    let pixels = u64::from(width) * u64::from(height);
+    if pixels == 0 || pixels > PIXEL_LIMIT {
+        return Err(wrong(format!("it states {width}x{height} pixels; 1 to {PIXEL_LIMIT} are read")));
+    }
     let orientation = decoder.orientation().unwrap_or(image::metadata::Orientation::NoTransforms);
     let decoded = DynamicImage::from_decoder(decoder).map_err(|error| wrong(error.to_string()))?;
     let size = [decoded.width(), decoded.height()];
@@ -36,28 +45,35 @@ pub fn image_from_bytes(file: &str, bytes: &[u8]) -> Result<ReadImage, Error> {
         DynamicImage::ImageLumaA8(image) => {
             GrayPixels::Eight(image.as_raw().chunks_exact(2).map(|pixel| pixel[0]).collect())
         }
-        DynamicImage::ImageRgb8(image) => GrayPixels::Eight(grey_of_colours(image.as_raw(), 3)),
-        DynamicImage::ImageRgba8(image) => GrayPixels::Eight(grey_of_colours(image.as_raw(), 4)),
+        DynamicImage::ImageRgb8(image) => GrayPixels::Eight(grey_of_colours(image.as_raw(), 3, [0, 1, 2])),
+        DynamicImage::ImageRgba8(image) => GrayPixels::Eight(grey_of_colours(image.as_raw(), 4, [0, 1, 2])),
         DynamicImage::ImageLuma16(image) => GrayPixels::Sixteen(image.into_raw()),
         DynamicImage::ImageLumaA16(image) => {
             GrayPixels::Sixteen(image.as_raw().chunks_exact(2).map(|pixel| pixel[0]).collect())
         }
-        DynamicImage::ImageRgb16(image) => GrayPixels::Sixteen(grey_of_colours(image.as_raw(), 3)),
-        DynamicImage::ImageRgba16(image) => GrayPixels::Sixteen(grey_of_colours(image.as_raw(), 4)),
+        DynamicImage::ImageRgb16(image) => GrayPixels::Sixteen(grey_of_colours(image.as_raw(), 3, [0, 1, 2])),
+        DynamicImage::ImageRgba16(image) => {
+            GrayPixels::Sixteen(grey_of_colours(image.as_raw(), 4, [0, 1, 2]))
+        }
         other => return Err(wrong(format!("pixels of the kind {:?} are not read", other.color()))),
     };
     let image = GrayImage::new(size, pixels).ok_or_else(|| wrong("it has too few pixels".to_owned()))?;
     Ok(ReadImage { image, is_turned: orientation != image::metadata::Orientation::NoTransforms })
 }
 
-/// Returns the grey of colours: (9798 R + 19235 G + 3735 B + 2¹⁴) / 2¹⁵, which is BT.601 in OpenCV's fixed point.
-fn grey_of_colours<P: Copy + Into<u64> + TryFrom<u64>>(values: &[P], channels: usize) -> Vec<P> {
-    let grey = |pixel: &[P]| {
-        let [red, green, blue] = [0, 1, 2].map(|i| pixel[i].into());
-        let grey = (9798 * red + 19235 * green + 3735 * blue + (1 << 14)) >> 15;
-        // The weights add up to 2¹⁵, so grey is at most the largest of the three.
-        P::try_from(grey).unwrap_or(pixel[1])
-    };
+/// Returns the grey of red, green and blue: (9798 R + 19235 G + 3735 B + 2¹⁴) / 2¹⁵, BT.601 in OpenCV's fixed point.
+pub(crate) fn grey_of([red, green, blue]: [u64; 3]) -> u64 {
+    // The weights add up to 2¹⁵, so grey is at most the largest of the three.
+    (9798 * red + 19235 * green + 3735 * blue + (1 << 14)) >> 15
+}
+
+/// Returns the grey of pixels of so many channels, with red, green and blue at these places.
+pub(crate) fn grey_of_colours<P: Copy + Into<u64> + TryFrom<u64>>(
+    values: &[P],
+    channels: usize,
+    places: [usize; 3],
+) -> Vec<P> {
+    let grey = |pixel: &[P]| P::try_from(grey_of(places.map(|i| pixel[i].into()))).unwrap_or(pixel[1]);
     values.chunks_exact(channels).map(grey).collect()
 }
 
@@ -159,7 +175,7 @@ mod tests {
             let read = image_from_bytes("a", &bytes.into_inner()).unwrap();
             assert_eq!(read.image.pixels(), &GrayPixels::Eight(vec![67]), "{format:?}");
         }
-        assert_eq!(grey_of_colours(&[1000u16, 30000, 65535], 3), [25379]);
+        assert_eq!(grey_of_colours(&[1000u16, 30000, 65535], 3, [0, 1, 2]), [25379]);
     }
 
     #[test]

@@ -9,6 +9,7 @@ use crate::assemble::assemble;
 use crate::calibration_json::calibration_from_json;
 use crate::format::corner_reader;
 use crate::job_file::{JobFile, TargetDescription, name_of, read_job_file, read_points};
+use crate::recording::RecordingOptions;
 use crate::robot_input::{RobotInput, RobotOverrides, load_robot};
 use crate::{Error, Place};
 
@@ -47,6 +48,8 @@ pub struct JobOverrides {
     pub robot: RobotOverrides,
     /// Names of cameras with patterns of the names of their images; empty takes the job file's cameras.
     pub cameras: Vec<(String, String)>,
+    /// How recordings are read, in place of what the job says.
+    pub recording: RecordingOptions,
 }
 
 /// Loads a job from `inputs`: a folder with a `boresight.toml`, a job file, corner files, or a job and corner files.
@@ -137,18 +140,7 @@ pub(crate) fn head(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Head,
     let place = jobs.first().or(others.first()).cloned().unwrap_or_else(|| PathBuf::from("the input"));
     let mut hashes = Vec::new();
     let (folder, mut job, options_place) = match &jobs[..] {
-        [] => {
-            let nothing = JobFile {
-                target: None,
-                cameras: Vec::new(),
-                corners: Vec::new(),
-                sigma_px: None,
-                options: toml::Table::new(),
-                robot: None,
-                known_lenses: Vec::new(),
-            };
-            (PathBuf::new(), nothing, None)
-        }
+        [] => (PathBuf::new(), JobFile::default(), None),
         [path] => {
             let path = if path.is_dir() { find_job_file(path)? } else { path.clone() };
             let bytes = read(&path)?;
@@ -182,6 +174,29 @@ pub(crate) fn head(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Head,
         }
     };
     Ok(Head { folder, job, options_place, target, hashes, place, others })
+}
+
+/// The files that a job names in its `[input]`.
+#[derive(Default)]
+pub(crate) struct NamedInputs {
+    pub images: Vec<PathBuf>,
+    pub recordings: Vec<PathBuf>,
+}
+
+/// Returns the images and the recordings that the job file among `inputs` names; none where there is no job file.
+pub(crate) fn named_inputs(inputs: &[PathBuf]) -> Result<NamedInputs, Error> {
+    let mut named = NamedInputs::default();
+    for path in inputs {
+        let path = if path.is_dir() { path.join(JOB_FILE) } else { path.clone() };
+        if path.extension().is_none_or(|extension| extension != "toml") || !path.is_file() {
+            continue;
+        }
+        let job = read_job_file(&path.display().to_string(), &read(&path)?)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        named.images.extend(job.images.iter().map(|name| folder.join(name)));
+        named.recordings.extend(job.recordings.iter().map(|name| folder.join(name)));
+    }
+    Ok(named)
 }
 
 /// Returns the blake3 hash of `bytes` in hexadecimal.

@@ -14,6 +14,10 @@
 //! params = [600.0, 600.0, 319.5, 239.5]   # ... and its parameters
 //! [input]
 //! corners = ["corners.csv"]      # relative to this file; .csv or .vnl
+//! images = ["left", "right*.png"]   # or, instead: images, folders of them, patterns
+//! recordings = ["drive.mcap"]    # or, instead: MCAP recordings
+//! clock = "header"               # optional, of recordings: which times are believed, or "log"
+//! sync_tolerance_ms = 5.0        # optional, of recordings: how far apart images of one frame may be
 //! sigma_px = 1.0                 # optional
 //! [robot]                        # see `robot_input.rs`
 //! [options]                      # the command line's names; read by the pipeline
@@ -29,16 +33,23 @@ use toml::Spanned;
 use crate::assemble::CameraSpec;
 use crate::error::closest;
 use crate::image_names::Listed;
+use crate::recording::Clock;
 use crate::robot_input::RobotTable;
 use crate::target_spec::{TARGET_NAME, chessboard};
 use crate::{Error, Place};
 
 /// What a job file says.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct JobFile {
     pub target: Option<TargetDescription>,
     pub cameras: Vec<CameraSpec>,
     pub corners: Vec<String>,
+    pub images: Vec<String>,
+    pub recordings: Vec<String>,
+    /// Which times of recordings are believed.
+    pub clock: Option<Clock>,
+    /// How far apart in time images of one frame may be, in nanoseconds.
+    pub tolerance_ns: Option<i64>,
     pub sigma_px: Option<f64>,
     pub options: toml::Table,
     /// The table `[robot]`, and where it stands.
@@ -95,6 +106,12 @@ struct CameraTable {
 struct InputTable {
     #[serde(default)]
     corners: Vec<String>,
+    #[serde(default)]
+    images: Vec<String>,
+    #[serde(default)]
+    recordings: Vec<String>,
+    clock: Option<Spanned<String>>,
+    sync_tolerance_ms: Option<Spanned<f64>>,
     sigma_px: Option<Spanned<f64>>,
 }
 
@@ -143,6 +160,30 @@ pub(crate) fn read_job_file(file: &str, bytes: &[u8]) -> Result<JobFile, Error> 
         let listed = Listed { name: name.into_inner(), images };
         cameras.push(CameraSpec { listed, image_size: [width, height] });
     }
+    let kinds = [&tables.input.corners, &tables.input.images, &tables.input.recordings];
+    if kinds.iter().filter(|named| !named.is_empty()).count() > 1 {
+        let message = "[input] names more than one of corners, images and recordings";
+        return Err(wrong(Place::file(file), message, Some("calibrate from one of them at a time")));
+    }
+    let clock = match tables.input.clock {
+        None => None,
+        Some(said) => match said.as_ref().as_str() {
+            "header" => Some(Clock::Header),
+            "log" => Some(Clock::Log),
+            other => {
+                let message = format!("clock is `{other}`: it is \"header\" or \"log\"");
+                return Err(wrong(at(said.span()), &message, None));
+            }
+        },
+    };
+    let tolerance_ns = match tables.input.sync_tolerance_ms {
+        None => None,
+        Some(said) if (0.0..=1e6).contains(said.as_ref()) => Some((said.as_ref() * 1e6).round() as i64),
+        Some(said) => {
+            let message = format!("sync_tolerance_ms is {}: it must be 0 to 1000000", said.as_ref());
+            return Err(wrong(at(said.span()), &message, Some("leave it out for a quarter of the period")));
+        }
+    };
     let sigma_px = tables.input.sigma_px.map(|sigma| (sigma.span(), sigma.into_inner()));
     if let Some((span, sigma)) = sigma_px.clone().filter(|(_, sigma)| !(1e-6..=1e3).contains(sigma)) {
         let message =
@@ -156,6 +197,10 @@ pub(crate) fn read_job_file(file: &str, bytes: &[u8]) -> Result<JobFile, Error> 
         target,
         cameras,
         corners: tables.input.corners,
+        images: tables.input.images,
+        recordings: tables.input.recordings,
+        clock,
+        tolerance_ns,
         sigma_px,
         options: tables.options,
         robot,
@@ -387,6 +432,9 @@ model = "opencv5"
             "[[camera]]\nname = \"left\"\nimage_size = [1, 1]\n[input]",
             &["job.toml:13", "two cameras"],
         );
+        refuses("sigma_px = 0.5", "images = [\"a\"]", &["job.toml", "more than one of corners, images"]);
+        refuses("sigma_px = 0.5", "clock = \"sun\"", &["job.toml:14", "clock is `sun`"]);
+        refuses("sigma_px = 0.5", "sync_tolerance_ms = -1.0", &["job.toml:14", "sync_tolerance_ms is -1"]);
         refuses("sigma_px = 0.5", "sigma_px = -1.0", &["job.toml:14", "sigma_px is -1"]);
         refuses("rows = 6", "rows = 6\nfile = \"x\"", &["`file` does not belong"]);
     }

@@ -17,9 +17,13 @@ mod cameramodel;
 mod corners_csv;
 mod corners_vnl;
 mod cursor;
+mod detection_cache;
 mod error;
 mod file_storage;
 mod format;
+mod foxglove_mcap;
+#[cfg(any(test, feature = "fuzzing"))]
+pub mod fuzzing;
 mod geometry_document;
 mod h_matrix;
 mod image_files;
@@ -35,6 +39,7 @@ mod opencv_yaml;
 mod planar_motions;
 mod pose_table;
 mod python_literal;
+mod recording;
 mod robot_input;
 mod robot_job;
 mod robot_plane_json;
@@ -49,11 +54,13 @@ mod target_spec;
 pub use atomic::write_atomically;
 pub use calibration_json::{CALIBRATION_SCHEMA, calibration_from_json, calibration_to_json};
 pub use corners_csv::corners_to_csv;
+pub use detection_cache::DetectionCache;
 pub use error::{Error, Kind, Place};
 pub use format::{
     FORMATS, Format, NamedCamera, NamedCovariance, OutputFile, cameras_from_bytes, closest_format, export,
     read_cameras, write_files,
 };
+pub use foxglove_mcap::calibration_to_mcap;
 pub use h_matrix::{
     CameraMatrices, MATRIX_SCHEMA, matrices, matrices_to_json, matrices_to_npy, matrices_to_text,
 };
@@ -66,6 +73,11 @@ pub use observations_parquet::{
 };
 pub use planar_motions::{PlanarMotionRow, read_planar_motions};
 pub use pose_table::{PoseTable, read_pose_table};
+pub use recording::{
+    CameraPair, Clock, Contents, DecodedImage, ImageTopic, Packing, RecordedImage, RecordedValue,
+    RecordingJob, RecordingOptions, RecordingWriter, SeenRecorded, StatedCamera, Survey, Topic,
+    load_recordings, survey_recordings,
+};
 pub use robot_input::{RobotAxes, RobotInput, RobotOverrides};
 pub use robot_job::{RobotJob, read_robot_job};
 pub use robot_plane_json::{

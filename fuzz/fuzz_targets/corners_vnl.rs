@@ -1,0 +1,4 @@
+//! Feeds made-up bytes to `boresight_io::fuzzing::corners_vnl`.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| boresight_io::fuzzing::corners_vnl(bytes));
