@@ -21,16 +21,10 @@ pub(crate) fn run(arguments: &InfoArguments) -> Result<ExitCode, Failure> {
     let text = match &arguments.input.inputs[..] {
         [path] if is_calibration(path) => of_calibration(path)?,
         [path] if is_cameras(path) => of_cameras(&read_cameras(path)?),
-        recordings if recordings.iter().all(|path| is_recording(path)) && !recordings.is_empty() => {
-            if arguments.input.target.is_none() && arguments.input.config.is_none() {
-                let survey = survey_recordings(recordings, &inputs::recording_options(&arguments.input))?;
-                tell_findings(&survey.findings);
-                of_recordings(&survey)
-            } else {
-                let job = inputs::load(&arguments.input)?;
-                tell_findings(&job.findings);
-                of_job(&job)?
-            }
+        recordings if is_survey(arguments) => {
+            let survey = survey_recordings(recordings, &inputs::recording_options(&arguments.input))?;
+            tell_findings(&survey.findings);
+            of_recordings(&survey)
         }
         _ => {
             let job = inputs::load(&arguments.input)?;
@@ -40,6 +34,13 @@ pub(crate) fn run(arguments: &InfoArguments) -> Result<ExitCode, Failure> {
     };
     answer(text.as_bytes())?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Tells whether recordings are named and no target to be detected in them.
+fn is_survey(arguments: &InfoArguments) -> bool {
+    let input = &arguments.input;
+    let are_recordings = !input.inputs.is_empty() && input.inputs.iter().all(|path| is_recording(path));
+    are_recordings && input.target.is_none() && input.config.is_none()
 }
 
 fn is_calibration(path: &Path) -> bool {
