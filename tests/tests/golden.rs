@@ -11,6 +11,7 @@ mod golden {
     mod opencv_corners;
     mod outliers;
     mod poses;
+    mod several_boards;
     mod sigma_reference;
     mod synthetic_rigs;
     mod triangulation;

@@ -9,6 +9,7 @@ use boresight_data::{CameraId, Dataset, FrameId, Id as _, IdVec, TargetId};
 use boresight_geometry::Pose;
 
 use crate::average::average;
+use crate::hand_eye::{Method, PosePair, hand_eye};
 
 /// A view's pose as the graph needs it.
 #[derive(Clone, Copy, Debug)]
@@ -68,11 +69,12 @@ fn arrange_around(dataset: &Dataset, meetings: &[Meeting], root: CameraId) -> Ar
     if let Some(first) = first_seen {
         arrangement.first_from_target[first] = Some(Pose::identity());
     }
-    // Targets make cameras reachable and the other way round; each pass adds all of one kind.
+    // Targets make cameras reachable and the other way round; each pass adds all of one kind. Only what is left over is
+    // placed by motion, which is known less well.
     loop {
         let added_cameras = add_cameras(&mut arrangement, meetings);
         let added_targets = add_targets(&mut arrangement, meetings);
-        if !added_cameras && !added_targets {
+        if !added_cameras && !added_targets && !add_by_motion(&mut arrangement, meetings) {
             break;
         }
     }
@@ -115,6 +117,50 @@ struct Edge {
     estimates: Vec<(Pose, f64)>,
     strength: f64,
     length_m: f64,
+}
+
+/// The fewest frames that place a camera and a target by motion.
+const MIN_MOVED_FRAMES: usize = 4;
+
+/// Adds the camera and the target, neither of them placed, that met in most of the frames that are placed.
+///
+/// What a placed camera sees of a placed target moves as the new camera sees the new target move. That determines both
+/// of their places, as hand-eye calibration does: `first_from_rig rig_from_camera camera_from_target` is the same in
+/// every frame, where frames are turned about different axes.
+fn add_by_motion(arrangement: &mut Arrangement, meetings: &[Meeting]) -> bool {
+    let mut rig_from_first: BTreeMap<FrameId, (usize, Pose)> = BTreeMap::new();
+    for meeting in meetings {
+        let places =
+            (arrangement.cam_from_rig[meeting.camera], arrangement.first_from_target[meeting.target]);
+        let (Some(cam_from_rig), Some(first_from_target)) = places else { continue };
+        let pose = cam_from_rig.inverse() * meeting.cam_from_target * first_from_target.inverse();
+        let best = rig_from_first.entry(meeting.frame).or_insert((meeting.points, pose));
+        if meeting.points > best.0 {
+            *best = (meeting.points, pose);
+        }
+    }
+    let mut pairs: BTreeMap<(CameraId, TargetId), Vec<PosePair>> = BTreeMap::new();
+    for meeting in meetings {
+        let is_new = arrangement.cam_from_rig[meeting.camera].is_none()
+            && arrangement.first_from_target[meeting.target].is_none();
+        if let (true, Some((_, rig_from_first))) = (is_new, rig_from_first.get(&meeting.frame)) {
+            pairs.entry((meeting.camera, meeting.target)).or_default().push(PosePair {
+                other_from_carrier: rig_from_first.inverse(),
+                rig_from_target: meeting.cam_from_target,
+            });
+        }
+    }
+    let mut candidates: Vec<_> =
+        pairs.into_iter().filter(|(_, pairs)| pairs.len() >= MIN_MOVED_FRAMES).collect();
+    candidates.sort_by_key(|(_, pairs)| std::cmp::Reverse(pairs.len()));
+    for ((camera, target), pairs) in candidates {
+        if let Some(found) = hand_eye(&pairs, Method::Shah) {
+            arrangement.cam_from_rig[camera] = Some(found.carrier_from_rig.inverse());
+            arrangement.first_from_target[target] = Some(found.other_from_target);
+            return true;
+        }
+    }
+    false
 }
 
 /// Returns the ties of all ordered pairs of cameras.
