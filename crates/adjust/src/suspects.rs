@@ -27,11 +27,14 @@ const SHIFT_TOLERANCE_SQUARES: f64 = 0.12;
 /// Poses this near in rotation have the same orientation, in radians.
 const SAME_ORIENTATION_RAD: f64 = 0.03;
 
+/// Two views of a frame that are turned against each other by less, in radians, may change sides.
+const SLIGHT_TURN_RAD: f64 = 0.1;
+
 /// As many views must be displaced alike for the camera to have moved.
 const VIEWS_OF_A_MOVE: usize = 3;
 
 /// How much like each other displacements must be, relative to their size.
-const ALIKE: f64 = 0.25;
+const ALIKE: f64 = 0.35;
 
 /// What a suspect view's own pose says.
 enum Evidence {
@@ -52,29 +55,31 @@ pub(crate) fn suspects(
     sigmas: f64,
 ) -> BTreeMap<usize, String> {
     let mut n_views = vec![0; dataset.cameras.len()];
-    let mut by_camera: Vec<Vec<usize>> = vec![Vec::new(); dataset.cameras.len()];
+    let mut suspect = BTreeMap::new();
     for (term_idx, (view_idx, lengths)) in lengths.views.iter().enumerate() {
         let camera = dataset.views[*view_idx].camera.0 as usize;
         n_views[camera] += 1;
         let limit = (sigmas * scales[camera]).max(crate::rejection::ROUNDING_SIGMAS);
         let n_beyond = lengths.iter().filter(|length| **length > limit).count();
         if n_beyond as f64 > SUSPECT_SHARE * lengths.len() as f64 {
-            by_camera[camera].push(term_idx);
+            suspect.insert(*view_idx, (term_idx, sigmas * scales[camera]));
         }
     }
+    let mut by_camera: Vec<Vec<(usize, Evidence)>> = dataset.cameras.iter().map(|_| Vec::new()).collect();
+    for &(term_idx, limit) in suspect.values() {
+        let evidence = evidence(dataset, rig, term_idx, limit);
+        let is_suspect = |view_idx: usize| suspect.contains_key(&view_idx);
+        let (view_idx, evidence) = blamed(dataset, rig, is_suspect, term_idx, evidence);
+        by_camera[dataset.views[view_idx].camera.0 as usize].push((view_idx, evidence));
+    }
     let mut reasons = BTreeMap::new();
-    for (camera, terms) in by_camera.iter().enumerate() {
-        let limit = sigmas * scales[camera];
-        let evidence: Vec<(usize, Evidence)> = terms
-            .iter()
-            .map(|&term_idx| (rig.views[term_idx].0, evidence(dataset, rig, term_idx, limit)))
-            .collect();
-        let moved = common_displacement(&evidence);
+    for (camera, evidence) in by_camera.iter().enumerate() {
+        let moved = common_move(dataset, evidence);
         // A camera that moved may have done so early; anything else that is wrong with half of its views is not in them.
-        if moved.is_none() && terms.len() as f64 > BLAMED_SHARE * n_views[camera] as f64 {
+        if moved.is_none() && evidence.len() as f64 > BLAMED_SHARE * n_views[camera] as f64 {
             continue;
         }
-        for (view_idx, evidence) in &evidence {
+        for (view_idx, evidence) in evidence {
             let view = &dataset.views[*view_idx];
             let is_shared = rig.views.iter().any(|(other, _)| {
                 let other = &dataset.views[*other];
@@ -172,27 +177,81 @@ fn evidence(dataset: &Dataset, rig: &RigProblem, term_idx: usize, limit_sigmas: 
     }
 }
 
-/// Returns the displacement `moved_from_cam` that most of a camera's suspect views share.
-fn common_displacement(evidence: &[(usize, Evidence)]) -> Option<Pose> {
-    let displacements: Vec<Pose> = evidence
+/// Returns which view is to blame for what was found of a suspect one, and what that says of it.
+///
+/// Where just two cameras see the target and disagree a little, nothing tells which of them is right. So that
+/// frames agree on it, the one that comes first is, as it is the reference where it has the choice.
+fn blamed(
+    dataset: &Dataset,
+    rig: &RigProblem,
+    is_suspect: impl Fn(usize) -> bool,
+    term_idx: usize,
+    evidence: Evidence,
+) -> (usize, Evidence) {
+    let view_idx = rig.views[term_idx].0;
+    let Evidence::Elsewhere { own, believed } = evidence else { return (view_idx, evidence) };
+    let view = &dataset.views[view_idx];
+    let mut others =
+        rig.views.iter().filter(|(idx, _)| *idx != view_idx && dataset.views[*idx].frame == view.frame);
+    if let (Some((other_idx, other_term)), None) = (others.next(), others.next()) {
+        let other = &dataset.views[*other_idx];
+        let is_slight = (believed.inverse() * own).angle() < SLIGHT_TURN_RAD;
+        if is_slight
+            && other.camera.0 > view.camera.0
+            && other.target == view.target
+            && !is_suspect(*other_idx)
+        {
+            let own_of_other = other_term.cam_from_target(rig.parameters.values());
+            let other_from_this = own_of_other * believed.inverse();
+            return (*other_idx, Evidence::Elsewhere { own: own_of_other, believed: other_from_this * own });
+        }
+    }
+    (view_idx, Evidence::Elsewhere { own, believed })
+}
+
+/// How a camera moved in the rig.
+struct Move {
+    moved_from_cam: Pose,
+    /// How far it takes the target that told of it, in metres.
+    size_m: f64,
+}
+
+impl Move {
+    /// Tells whether it explains where a view has the centre of its target.
+    ///
+    /// The turn of a single view's pose is not known so well that it could be compared elsewhere.
+    fn explains(&self, own: &Pose, believed: &Pose, centre: &Vector3<f64>) -> bool {
+        let (seen, expected) = (*own * *centre, *believed * *centre);
+        let size_m = (seen - expected).norm().max(self.size_m).max(1e-3);
+        (self.moved_from_cam * expected - seen).norm() <= ALIKE * size_m
+    }
+}
+
+/// Returns the move of a camera that explains most of its suspect views.
+fn common_move(dataset: &Dataset, evidence: &[(usize, Evidence)]) -> Option<Move> {
+    let elsewhere: Vec<(Pose, Pose, Vector3<f64>)> = evidence
         .iter()
-        .filter_map(|(_, evidence)| match evidence {
-            Evidence::Elsewhere { own, believed } => Some(*own * believed.inverse()),
+        .filter_map(|(view_idx, evidence)| match evidence {
+            Evidence::Elsewhere { own, believed } => {
+                Some((*own, *believed, centre_of(&dataset.targets[dataset.views[*view_idx].target])))
+            }
             _ => None,
         })
         .collect();
-    displacements.iter().copied().find(|one| {
-        let is_alike = |other: &&Pose| {
-            let between = one.inverse() * **other;
-            between.angle() <= ALIKE * one.angle().max(1e-3)
-                && between.translation.norm() <= ALIKE * one.translation.norm().max(1e-3)
-        };
-        let n_alike = displacements.iter().filter(is_alike).count();
-        n_alike >= VIEWS_OF_A_MOVE && 2 * n_alike > displacements.len()
-    })
+    let mut best: Option<(usize, Move)> = None;
+    for (own, believed, centre) in &elsewhere {
+        let size_m = (*own * *centre - *believed * *centre).norm();
+        let one = Move { moved_from_cam: *own * believed.inverse(), size_m };
+        let n_explained =
+            elsewhere.iter().filter(|(own, believed, centre)| one.explains(own, believed, centre)).count();
+        if best.as_ref().is_none_or(|(most, _)| n_explained > *most) {
+            best = Some((n_explained, one));
+        }
+    }
+    best.filter(|(n, _)| *n >= VIEWS_OF_A_MOVE && 2 * n > elsewhere.len()).map(|(_, found)| found)
 }
 
-fn describe(evidence: &Evidence, target: &Target, moved: Option<&Pose>, is_shared: bool) -> String {
+fn describe(evidence: &Evidence, target: &Target, moved: Option<&Move>, is_shared: bool) -> String {
     let (own, believed) = match evidence {
         Evidence::NoPose => {
             return "most of its corners fit the target at no pose: they are in another order, of another target, or wrong"
@@ -211,16 +270,13 @@ fn describe(evidence: &Evidence, target: &Target, moved: Option<&Pose>, is_share
             offset.angle().to_degrees()
         );
     }
-    if let Some(moved) = moved {
-        let displacement = *own * believed.inverse();
-        let between = moved.inverse() * displacement;
-        if between.translation.norm() <= ALIKE * moved.translation.norm().max(1e-3) {
-            return format!(
-                "its camera stood elsewhere in the rig, by {:.1} mm and {:.2} degrees: it moved between frames",
-                1e3 * moved.inverse().translation.norm(),
-                moved.angle().to_degrees()
-            );
-        }
+    if let Some(moved) = moved.filter(|moved| moved.explains(own, believed, &centre)) {
+        let moved_from_cam = &moved.moved_from_cam;
+        return format!(
+            "its camera stood elsewhere in the rig, by {:.1} mm and {:.2} degrees: it moved between frames",
+            1e3 * moved_from_cam.inverse().translation.norm(),
+            moved_from_cam.angle().to_degrees()
+        );
     }
     if let Geometry::Chessboard { spacing_m, .. } = target.geometry
         && offset.angle() < SAME_ORIENTATION_RAD
