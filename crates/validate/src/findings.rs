@@ -8,6 +8,7 @@
 //! estimates: a finding says what was measured and what it was held against, so that a reader can judge.
 
 mod bad_view;
+mod biased_residuals;
 mod bow;
 mod case;
 mod coverage;

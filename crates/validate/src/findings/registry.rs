@@ -27,6 +27,7 @@ macro_rules! diagnostics {
 
 diagnostics! {
     super::bad_view::BadView,
+    super::biased_residuals::BiasedResiduals,
     super::bow::Bow,
     super::coverage::Coverage,
     super::duplicate_points::DuplicatePoints,
