@@ -4,18 +4,21 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use boresight_adjust::{AdjustOptions, Hold, Observer, adjust};
-use boresight_camera::Camera;
+use boresight_camera::{Camera, Model, ParamGroup};
 use boresight_data::{Calibration, CameraId, Dataset, Finding, Geometry, Provenance, RejectionReason, Shape};
 use boresight_io::Job;
 use boresight_seed::{LeftOut, SeedOptions, seed};
 use boresight_validate::{Verdict, verdict};
 
 use crate::VERSION;
-use crate::choices::ShapeChoice;
+use crate::beliefs::{Earlier, apply_beliefs};
+use crate::choices::{LensModel, ShapeChoice};
 use crate::error::Error;
 use crate::held_out::held_out;
+use crate::lens_choice::{LensSelection, choose_lens};
 use crate::options::CalibrateOptions;
 use crate::select::select_cameras;
+use crate::shape_choice::{ShapeSelection, choose_shape};
 
 /// Who follows a calibration while it runs, and may stop it.
 #[derive(Clone, Default)]
@@ -39,6 +42,10 @@ pub struct Outcome {
     pub verdict: Verdict,
     /// What the seed could not use and why, a sentence each.
     pub left_out: Vec<String>,
+    /// The lens models that were chosen, and why.
+    pub lenses: Vec<LensSelection>,
+    /// Whether the shape of the target helped, where that was asked.
+    pub shape: Option<ShapeSelection>,
 }
 
 /// Calibrates a job: chooses cameras and target shape, seeds, adjusts and judges.
@@ -50,14 +57,27 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
     for target in dataset.targets.iter_mut() {
         target.shape = match (&target.geometry, options.shape) {
             (Geometry::Points { .. }, _) | (_, ShapeChoice::None) => Shape::Rigid,
-            (_, ShapeChoice::Two) => Shape::Parabolic2,
+            (_, ShapeChoice::Two | ShapeChoice::Auto) => Shape::Parabolic2,
         };
     }
-    let known = known_lenses(job, &dataset);
-    let holds = known.iter().map(|(camera, _)| Hold::Lens(*camera)).collect();
-    let seed_options = SeedOptions { models: vec![options.model], known, ..SeedOptions::default() };
-    let seed = seed(&dataset, &seed_options)?;
+    let stated = known_lenses(job, &dataset);
+    let earlier = options.prior.as_deref().map(Earlier::read).transpose()?;
+    let mut known = stated.clone();
+    if let Some(earlier) = &earlier {
+        let lenses = earlier.lenses(&dataset)?;
+        known.extend(lenses.into_iter().filter(|(id, _)| !stated.iter().any(|(other, _)| other == id)));
+    }
+    let (models, lenses) = with_threads(options.jobs, || lens_models(&dataset, &known, options))?;
+    let shape = (options.shape == ShapeChoice::Auto)
+        .then(|| with_threads(options.jobs, || choose_shape(&dataset, &models, options)));
+    if shape.as_ref().is_some_and(|shape| !shape.helps) {
+        dataset.targets.iter_mut().for_each(|target| target.shape = Shape::Rigid);
+    }
+    let holds = stated.iter().map(|(camera, _)| Hold::Lens(*camera)).collect();
+    let seed_options = SeedOptions { models, known, ..SeedOptions::default() };
+    let mut seed = seed(&dataset, &seed_options)?;
     let mut adjust_options = AdjustOptions { holds, ..options.adjust_options(&dataset) };
+    apply_beliefs(options, earlier.as_ref(), &stated, &dataset, &mut seed.scene, &mut adjust_options)?;
     adjust_options.cancel = watch.cancel.clone();
     let mut calibration = adjust(&dataset, &seed.scene, &adjust_options, watch.observer.clone())?;
     say_why(&mut calibration, &dataset, &seed.left_out);
@@ -71,12 +91,55 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
         inputs: job.inputs.iter().cloned().collect(),
         options: options.stated(),
     };
+    for selection in &lenses {
+        let key = format!("model.{}", selection.camera);
+        calibration.provenance.options.insert(key, selection.why.clone());
+    }
+    if let Some(shape) = &shape {
+        calibration.provenance.options.insert("shape.auto".to_owned(), shape.why.clone());
+    }
     let mut findings = boresight_validate::findings(&dataset, &calibration);
     findings
         .extend(job.findings.iter().filter(|finding| !is_of_other_camera(finding, job, &dataset)).cloned());
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     let left_out = seed.left_out.iter().map(|fact| fact.describe(&dataset)).collect();
-    Ok(Outcome { calibration, verdict: verdict(&findings), dataset, findings, left_out })
+    Ok(Outcome { calibration, verdict: verdict(&findings), dataset, findings, left_out, lenses, shape })
+}
+
+/// Returns the lens model of each camera, and why for those that were chosen.
+fn lens_models(
+    dataset: &Dataset,
+    known: &[(CameraId, Camera)],
+    options: &CalibrateOptions,
+) -> Result<(Vec<Model>, Vec<LensSelection>), Error> {
+    let names = || dataset.cameras.iter().map(|camera| camera.name.clone());
+    if let Some(name) = options.model.by_camera.keys().find(|name| !names().any(|known| known == **name)) {
+        return Err(Error::UnknownCamera { name: name.clone(), known: names().collect() });
+    }
+    let (mut models, mut lenses) = (Vec::new(), Vec::new());
+    for (id, info) in dataset.cameras.enumerate() {
+        let model = match (known.iter().find(|(known, _)| *known == id), options.model.of(&info.name)) {
+            (Some((_, lens)), _) => lens.model,
+            (None, LensModel::Given(model)) => model,
+            (None, LensModel::Auto) => {
+                let selection = choose_lens(dataset, &info.name, options)?;
+                let model = selection.model;
+                lenses.push(selection);
+                model
+            }
+        };
+        if is_noncentral(model) && !known.iter().any(|(known, _)| *known == id) {
+            return Err(Error::Noncentral { camera: info.name.clone(), model: model.name() });
+        }
+        models.push(model);
+    }
+    Ok((models, lenses))
+}
+
+/// Tells whether a lens has a centre of projection that moves, so that what its pixels see depends on the
+/// distance: poses and lens cannot be told apart from views of a target.
+pub(crate) fn is_noncentral(model: Model) -> bool {
+    model.param_groups().contains(&ParamGroup::Pupil)
 }
 
 /// Returns the lenses that the job knows, by the dataset's cameras.
@@ -122,3 +185,7 @@ fn is_of_other_camera(finding: &Finding, job: &Job, chosen: &Dataset) -> bool {
     let is_in = |dataset: &Dataset| dataset.cameras.iter().any(|camera| camera.name == finding.place);
     is_in(&job.dataset) && !is_in(chosen)
 }
+
+#[cfg(test)]
+#[path = "calibrate_tests.rs"]
+mod tests;

@@ -1,7 +1,10 @@
 //! The values of options as people write them, in a job file or on the command line.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
+
+use boresight_camera::Model;
 
 /// A value that an option does not take.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -13,6 +16,88 @@ pub struct BadChoice {
     pub takes: &'static str,
 }
 
+/// How a camera's lens model is found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LensModel {
+    /// It is this one.
+    Given(Model),
+    /// It is the simplest that predicts the camera's views well.
+    Auto,
+}
+
+/// The lens models of all cameras: `opencv5`, `auto`, or with cameras of their own as in
+/// `opencv5,right=kannala-brandt4`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LensChoice {
+    /// That of cameras that are not named.
+    pub usual: LensModel,
+    /// Those of single cameras, by name.
+    pub by_camera: BTreeMap<String, LensModel>,
+}
+
+impl LensChoice {
+    /// Returns the choice of a camera.
+    pub fn of(&self, camera: &str) -> LensModel {
+        self.by_camera.get(camera).copied().unwrap_or(self.usual)
+    }
+}
+
+impl From<Model> for LensChoice {
+    fn from(model: Model) -> Self {
+        Self { usual: LensModel::Given(model), by_camera: BTreeMap::new() }
+    }
+}
+
+impl Default for LensChoice {
+    fn default() -> Self {
+        Model::OpenCv5(Default::default()).into()
+    }
+}
+
+impl FromStr for LensModel {
+    type Err = boresight_camera::Error;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        if text == "auto" { Ok(Self::Auto) } else { text.parse().map(Self::Given) }
+    }
+}
+
+impl fmt::Display for LensModel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Given(model) => f.pad(&model.to_string()),
+            Self::Auto => f.pad("auto"),
+        }
+    }
+}
+
+impl FromStr for LensChoice {
+    type Err = boresight_camera::Error;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let mut choice = Self::default();
+        for part in text.split(',') {
+            match part.split_once('=') {
+                None => choice.usual = part.parse()?,
+                Some((camera, model)) => {
+                    choice.by_camera.insert(camera.to_owned(), model.parse()?);
+                }
+            }
+        }
+        Ok(choice)
+    }
+}
+
+impl fmt::Display for LensChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut text = self.usual.to_string();
+        for (camera, model) in &self.by_camera {
+            text.push_str(&format!(",{camera}={model}"));
+        }
+        f.pad(&text)
+    }
+}
+
 /// How the target may depart from its drawing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ShapeChoice {
@@ -22,6 +107,8 @@ pub enum ShapeChoice {
     /// grid stays as drawn.
     #[default]
     Two,
+    /// By two coefficients if views that took no part are then predicted better, else not at all.
+    Auto,
 }
 
 impl FromStr for ShapeChoice {
@@ -31,7 +118,8 @@ impl FromStr for ShapeChoice {
         match text {
             "none" => Ok(Self::None),
             "2" => Ok(Self::Two),
-            _ => Err(BadChoice { value: text.to_owned(), takes: "none, 2" }),
+            "auto" => Ok(Self::Auto),
+            _ => Err(BadChoice { value: text.to_owned(), takes: "none, 2, auto" }),
         }
     }
 }
@@ -41,6 +129,7 @@ impl fmt::Display for ShapeChoice {
         f.pad(match self {
             Self::None => "none",
             Self::Two => "2",
+            Self::Auto => "auto",
         })
     }
 }
@@ -222,12 +311,26 @@ mod tests {
 
     #[test]
     fn choices_are_read_and_written() {
-        survives::<ShapeChoice>(&["none", "2"]);
+        survives::<ShapeChoice>(&["none", "2", "auto"]);
         survives::<RegularizationChoice>(&["none", "default", "mrcal-2.2"]);
         survives::<LossChoice>(&["none", "cauchy:1.5", "cauchy:2"]);
         survives::<RejectChoice>(&["none", "4", "3.5"]);
         survives::<HoldoutChoice>(&["off", "auto", "5"]);
         assert_eq!(RejectChoice::default().to_string(), "4");
+    }
+
+    #[test]
+    fn lens_models_are_given_for_all_cameras_or_for_some() {
+        for text in ["opencv5", "auto", "opencv8,left=auto", "opencv5,left=splined3:30x20:150deg,right=mei"] {
+            let choice: LensChoice = text.parse().unwrap();
+            assert_eq!(choice.to_string(), text);
+        }
+        let some: LensChoice = "right=auto".parse().unwrap();
+        assert_eq!(some.to_string(), "opencv5,right=auto");
+        assert_eq!((some.of("right"), some.of("left")), (LensModel::Auto, LensChoice::default().usual));
+        for text in ["", "opencv6", "left=", "left=opencv5,"] {
+            assert!(text.parse::<LensChoice>().is_err(), "{text}");
+        }
     }
 
     #[test]

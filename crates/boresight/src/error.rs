@@ -38,6 +38,22 @@ pub enum Error {
         /// The cameras there are.
         known: Vec<String>,
     },
+    /// An earlier calibration says nothing that can be used.
+    #[error("option prior: {path} cannot be used as a prior: {why}")]
+    NoPrior {
+        /// The file.
+        path: String,
+        /// What is missing.
+        why: String,
+    },
+    /// Something is to be held that nothing tells.
+    #[error("option hold: {what} of camera {camera} cannot be held: nothing says where it is")]
+    NothingToHold {
+        /// The camera's name.
+        camera: String,
+        /// What is to be held.
+        what: String,
+    },
     /// The target's pose could be found in no frame.
     #[error("the target's pose could be found in none of the {views} views")]
     NothingPlaced {
@@ -47,6 +63,19 @@ pub enum Error {
     /// No start could be found.
     #[error("{0}")]
     Seed(#[from] boresight_seed::Error),
+    /// No lens model will do.
+    #[error(transparent)]
+    NoLens(#[from] crate::lens_choice::NoLens),
+    /// A camera has a lens without a centre of projection, which cannot be calibrated.
+    #[error(
+        "camera {camera}: lens model {model} cannot be calibrated: its centre of projection moves with the angle, so that lens and poses are not told apart"
+    )]
+    Noncentral {
+        /// The camera's name.
+        camera: String,
+        /// Its lens model.
+        model: &'static str,
+    },
     /// The adjustment failed.
     #[error("{0}")]
     Adjust(#[from] boresight_adjust::Error),
@@ -99,17 +128,24 @@ impl Error {
                 boresight_io::Kind::CannotWrite => ErrorKind::CannotWrite,
             },
             Error::Robot(error) => error.kind(),
-            Error::Options { .. } | Error::UnknownCamera { .. } | Error::NoRobotPoses => ErrorKind::Usage,
+            Error::Options { .. }
+            | Error::UnknownCamera { .. }
+            | Error::NoPrior { .. }
+            | Error::NothingToHold { .. }
+            | Error::Noncentral { .. }
+            | Error::NoRobotPoses => ErrorKind::Usage,
             Error::UnreadablePoses { .. } => ErrorKind::Input,
             Error::Degenerate(_) | Error::NoClosedForm { .. } => ErrorKind::Solve,
             Error::Compare(
                 boresight_validate::Error::NotPositive { .. } | boresight_validate::Error::Columns { .. },
             ) => ErrorKind::Usage,
             Error::NothingPlaced { .. }
+            | Error::NoLens(_)
             | Error::Seed(_)
             | Error::Compare(_)
             | Error::Camera(_)
             | Error::Convert { .. } => ErrorKind::Input,
+            Error::Adjust(boresight_adjust::Error::LensesDiffer { .. }) => ErrorKind::Usage,
             Error::Adjust(
                 boresight_adjust::Error::TooFewEquations { .. } | boresight_adjust::Error::BadSigma { .. },
             ) => ErrorKind::Input,
@@ -134,9 +170,15 @@ impl Error {
             Error::NoClosedForm { .. } => text(
                 "`boresight robot poses` tries all readings of the poses; are they turned about different axes?",
             ),
-            Error::Options { .. } => {
-                text("[options] takes model, shape, regularization, loss, reject, holdout, cameras and jobs")
+            Error::Options { .. } => text(
+                "[options] takes model, shape, regularization, loss, reject, holdout, hold, prior, share_lens, cameras and jobs",
+            ),
+            Error::NothingToHold { .. } => {
+                text("state the earlier calibration that says it with --prior, or the lens in the job file")
             }
+            Error::Noncentral { .. } => text(
+                "take --model cahvor, or auto; a calibrated CAHVORE lens can be used, converted and compared",
+            ),
             Error::Seed(boresight_seed::Error::TooFewViews { need, .. }) => Some(format!(
                 "show the target to the camera in at least {need} poses, tilted in different directions; 10 or more are better"
             )),

@@ -220,8 +220,8 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
         (name, compare::mean(&held_out.errors.distances_m))
     });
     let frames = frames.collect();
-    let outcome =
-        Outcome { calibration, verdict: verdict(&findings), dataset, findings, left_out: first.left_out };
+    let verdict = verdict(&findings);
+    let outcome = Outcome { calibration, dataset, findings, verdict, ..first };
     let jackknife = jackknife.map(|(sigmas, _)| sigmas).unwrap_or([f64::NAN; 6]);
     let chosen = n_closed + chosen;
     Ok(HandEyeOutcome { outcome, mounting, methods, chosen, frames, noise, working_points, jackknife })

@@ -246,13 +246,13 @@ pub(crate) fn transfer(
 }
 
 /// Where a view's points are in its camera's frame, as a scene believes.
-struct Seen<'a> {
-    camera: &'a boresight_camera::Camera,
-    points_in_cam: Vec<boresight_geometry::Vector3<f64>>,
+pub(crate) struct Seen<'a> {
+    pub camera: &'a boresight_camera::Camera,
+    pub points_in_cam: Vec<boresight_geometry::Vector3<f64>>,
 }
 
 impl<'a> Seen<'a> {
-    fn new(dataset: &Dataset, scene: &'a Scene, view: &View) -> Option<Self> {
+    pub(crate) fn new(dataset: &Dataset, scene: &'a Scene, view: &View) -> Option<Self> {
         let camera = scene.rig.cameras.get(view.camera)?.as_ref()?;
         let rig_from_first = (*scene.rig_from_target.get(view.frame)?)?;
         let belief = scene.targets.get(view.target)?;

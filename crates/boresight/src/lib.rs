@@ -15,6 +15,7 @@
 //!
 //! Architecture invariant: nothing here prints, parses a command line or ends the process.
 
+mod beliefs;
 mod calibrate;
 mod choices;
 mod convert;
@@ -25,6 +26,7 @@ mod hand_eye;
 mod held_out;
 mod images;
 mod known_rig;
+mod lens_choice;
 mod locate;
 mod options;
 mod recording_texts;
@@ -34,7 +36,9 @@ mod robot_error;
 mod robot_plane;
 mod robot_texts;
 mod select;
+mod shape_choice;
 mod stereo;
+mod trial;
 mod uncertainty;
 mod verify;
 
@@ -67,9 +71,13 @@ pub use boresight_validate::{
     verdict,
 };
 
+pub use beliefs::HoldChoice;
 pub use boresight_seed::{Converted, ImpliedRotation, triangle_from_sides};
 pub use calibrate::{Outcome, Watch, calibrate};
-pub use choices::{BadChoice, HoldoutChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
+pub use choices::{
+    BadChoice, HoldoutChoice, LensChoice, LensModel, LossChoice, RegularizationChoice, RejectChoice,
+    ShapeChoice,
+};
 pub use convert::{ConvertedCamera, convert_lenses};
 pub use cross_validation::{compared, cross_validate};
 pub use error::{Error, ErrorKind};
@@ -81,10 +89,12 @@ pub use hand_eye::{
 pub use held_out::held_out;
 pub use images::{DetectWatch, ImageProgress, Stages, detect_images, detection_cache, load};
 pub use known_rig::KnownRig;
+pub use lens_choice::{LensSelection, ModelTrial, NoLens};
 pub use locate::{Candidate, LocatePoint, Located, locate};
 pub use options::CalibrateOptions;
 pub use recordings::detect_recordings;
 pub use results::{RESULT_FILES, result_files, sigma_of, write_results};
+pub use shape_choice::ShapeSelection;
 pub use uncertainty::{CameraUncertainty, UncertaintyOptions, UncertaintyReport, uncertainty};
 pub use verify::{CameraVerification, Verification, verify};
 

@@ -2,26 +2,30 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use boresight_adjust::{AdjustOptions, Loss, Regularization, Rejection};
-use boresight_camera::Model;
 use boresight_data::Dataset;
 use boresight_io::{Job, Place};
 use serde::de::{Deserializer, Error as _, Visitor};
 use serde::{Deserialize, Serialize, Serializer};
 
-use crate::choices::{HoldoutChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice};
+use crate::beliefs::HoldChoice;
+use crate::choices::{
+    HoldoutChoice, LensChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice,
+};
 use crate::error::Error;
 
 /// How a calibration is made. Flags come before the job file, and that before these defaults.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CalibrateOptions {
-    /// The lens model of all cameras; `opencv5` unless told otherwise.
+    /// The lens model of all cameras, or `auto` to choose for each, and after it those of single cameras,
+    /// as in `opencv5,right=kannala-brandt4`; `opencv5` unless told otherwise.
     #[serde(with = "as_text")]
-    pub model: Model,
-    /// How the target may depart from its drawing: `none` or `2`; `2` unless told otherwise.
+    pub model: LensChoice,
+    /// How the target may depart from its drawing: `none`, `2` or `auto`; `2` unless told otherwise.
     #[serde(with = "as_text")]
     pub shape: ShapeChoice,
     /// What keeps weakly constrained lens parameters in bounds: `none`, `default` or `mrcal-2.2`.
@@ -37,34 +41,34 @@ pub struct CalibrateOptions {
     /// `off`, `auto` or a number; `auto` unless told otherwise.
     #[serde(with = "as_text")]
     pub holdout: HoldoutChoice,
+    /// What is not estimated, such as `lens:left`, `pose`, `shape` or `k3`. Empty estimates everything.
+    #[serde(with = "as_texts")]
+    pub hold: Vec<HoldChoice>,
+    /// An earlier calibration, made from other views: its lenses, and its poses where the reference camera is
+    /// the same, are believed with their covariance. Cameras that it has take their lens model from it.
+    pub prior: Option<PathBuf>,
+    /// Cameras that share one lens, such as `left+right`, for each lens that is shared.
+    pub share_lens: Vec<String>,
     /// The names of the cameras to calibrate; empty takes all.
     pub cameras: Vec<String>,
     /// The number of threads; 0 takes one for each core. The result does not depend on it.
     pub jobs: usize,
 }
 
-impl Default for CalibrateOptions {
-    fn default() -> Self {
-        Self {
-            model: Model::OpenCv5(Default::default()),
-            shape: ShapeChoice::default(),
-            regularization: RegularizationChoice::default(),
-            loss: LossChoice::default(),
-            reject: RejectChoice::default(),
-            holdout: HoldoutChoice::default(),
-            cameras: Vec::new(),
-            jobs: 0,
-        }
-    }
-}
-
 impl CalibrateOptions {
     /// Returns the options that a job file states, and the defaults of all others.
     pub fn of_job(job: &Job) -> Result<Self, Error> {
-        job.options.clone().try_into().map_err(|error| Error::Options {
+        let stated: Result<Self, _> = job.options.clone().try_into();
+        let mut options = stated.map_err(|error| Error::Options {
             place: job.options_place.clone().unwrap_or_else(|| Place::file("boresight.toml")),
             message: error.message().lines().next().unwrap_or_default().to_owned(),
-        })
+        })?;
+        // What a job file names is beside it.
+        let folder = job.options_place.as_ref().and_then(|place| Path::new(&place.file).parent());
+        if let (Some(prior), Some(folder)) = (&mut options.prior, folder) {
+            *prior = folder.join(&*prior);
+        }
+        Ok(options)
     }
 
     /// Returns the options that bear on the result, as the command line or the job file would state them.
@@ -77,6 +81,16 @@ impl CalibrateOptions {
             ("reject".to_owned(), self.reject.to_string()),
             ("holdout".to_owned(), self.holdout.to_string()),
         ]);
+        if !self.hold.is_empty() {
+            let hold: Vec<String> = self.hold.iter().map(ToString::to_string).collect();
+            stated.insert("hold".to_owned(), hold.join(","));
+        }
+        if let Some(prior) = &self.prior {
+            stated.insert("prior".to_owned(), prior.display().to_string());
+        }
+        if !self.share_lens.is_empty() {
+            stated.insert("share_lens".to_owned(), self.share_lens.join(","));
+        }
         if !self.cameras.is_empty() {
             stated.insert("cameras".to_owned(), self.cameras.join(","));
         }
@@ -106,7 +120,7 @@ impl CalibrateOptions {
 }
 
 /// Returns the sigma of the best corners: that of all of them, where they have but one.
-fn base_sigma_px(dataset: &Dataset) -> f64 {
+pub(crate) fn base_sigma_px(dataset: &Dataset) -> f64 {
     let observations = dataset.views.iter().flat_map(|view| &view.observations);
     let least = observations.map(|observation| observation.sigma_px).fold(f64::INFINITY, f64::min);
     if least.is_finite() && least > 0.0 { least } else { 1.0 }
@@ -156,6 +170,27 @@ mod as_text {
     }
 }
 
+/// Lists of values that a file states as text.
+mod as_texts {
+    use super::*;
+
+    pub(super) fn serialize<T: fmt::Display, S: Serializer>(
+        values: &[T],
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(values.iter().map(ToString::to_string))
+    }
+
+    pub(super) fn deserialize<'de, T, D>(deserializer: D) -> Result<Vec<T>, D::Error>
+    where
+        T: FromStr<Err: fmt::Display>,
+        D: Deserializer<'de>,
+    {
+        let texts = Vec::<String>::deserialize(deserializer)?;
+        texts.iter().map(|text| text.parse().map_err(|error: T::Err| D::Error::custom(error))).collect()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -178,7 +213,7 @@ mod tests {
             "model = \"opencv8\"\nshape = \"none\"\nreject = 3.5\nloss = \"cauchy:2\"\ncameras = [\"left\"]\njobs = 1",
         ));
         let options = options.unwrap();
-        assert_eq!(options.model.name(), "opencv8");
+        assert_eq!(options.model.to_string(), "opencv8");
         assert_eq!(options.shape, ShapeChoice::None);
         assert_eq!(options.reject, RejectChoice::Beyond { sigmas: 3.5 });
         assert_eq!(options.loss, LossChoice::Cauchy { px: 2.0 });
@@ -205,7 +240,14 @@ mod tests {
 
     #[test]
     fn options_survive_a_round_trip() {
-        let options = CalibrateOptions { cameras: vec!["a".to_owned()], ..CalibrateOptions::default() };
+        let options = CalibrateOptions {
+            model: "auto,b=opencv8".parse().unwrap(),
+            hold: vec!["k3".parse().unwrap(), "pose:b".parse().unwrap()],
+            prior: Some("earlier/calibration.json".into()),
+            share_lens: vec!["a+b".to_owned()],
+            cameras: vec!["a".to_owned()],
+            ..CalibrateOptions::default()
+        };
         let text = toml::to_string(&options).unwrap();
         assert_eq!(toml::from_str::<CalibrateOptions>(&text).unwrap(), options);
     }

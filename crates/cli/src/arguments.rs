@@ -2,7 +2,10 @@
 
 use std::path::PathBuf;
 
-use boresight::{HoldoutChoice, LossChoice, Model, RegularizationChoice, RejectChoice, ShapeChoice, Target};
+use boresight::{
+    HoldChoice, HoldoutChoice, LensChoice, LossChoice, Model, RegularizationChoice, RejectChoice,
+    ShapeChoice, Target,
+};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::inputs::{CameraImages, ClockChoice, ImageSize, Time};
@@ -110,11 +113,12 @@ pub(crate) struct CalibrateArguments {
     #[command(flatten)]
     pub input: InputArguments,
     /// The lens model: pinhole, opencv4, 5, 8, 12 or 14, kannala-brandt4, double-sphere, eucm, mei, division,
-    /// stereographic, cahvor, splined2, splined3 and others [default: opencv5]
+    /// stereographic, cahvor, splined2, splined3 and others; auto chooses one for each camera by what it
+    /// predicts; cameras may have their own, as in opencv5,right=eucm [default: opencv5]
     #[arg(long, value_name = "NAME")]
-    pub model: Option<Model>,
-    /// How the target may depart from flat: none, or 2 coefficients [default: 2]
-    #[arg(long, value_name = "none|2")]
+    pub model: Option<LensChoice>,
+    /// How the target may depart from flat: none, 2 coefficients, or auto: 2 if they predict better [default: 2]
+    #[arg(long, value_name = "none|2|auto")]
     pub shape: Option<ShapeChoice>,
     /// What keeps weakly constrained lens parameters in bounds: none, default or mrcal-2.2
     #[arg(long, value_name = "KIND")]
@@ -128,6 +132,15 @@ pub(crate) struct CalibrateArguments {
     /// Parts into which the frames are cut and left out in turn, to test predictions: off, auto or a number [default: auto]
     #[arg(long, value_name = "K")]
     pub holdout: Option<HoldoutChoice>,
+    /// Do not estimate this: lens, pose or a lens parameter such as k3, of all cameras or as lens:NAME; shape
+    #[arg(long, value_name = "WHAT[:CAMERA],...", value_delimiter = ',')]
+    pub hold: Vec<HoldChoice>,
+    /// Believe the lenses and poses of an earlier calibration, made from other views, as far as their sigmas say
+    #[arg(long, value_name = "FILE")]
+    pub prior: Option<PathBuf>,
+    /// Let cameras share one lens, such as a camera that moves; may be repeated
+    #[arg(long, value_name = "NAME+NAME")]
+    pub share_lens: Vec<String>,
     /// Calibrate these cameras only
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     pub cameras: Vec<String>,
@@ -316,7 +329,7 @@ pub(crate) struct ValidateArguments {
     pub input: InputArguments,
     /// The lens model, if not that of the job file
     #[arg(long, value_name = "NAME")]
-    pub model: Option<Model>,
+    pub model: Option<LensChoice>,
     /// Compare points at this distance in metres, after a pose fitted there; else at infinity
     #[arg(long, value_name = "D")]
     pub distance_m: Option<f64>,

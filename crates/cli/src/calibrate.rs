@@ -37,6 +37,12 @@ pub(crate) fn run(arguments: &CalibrateArguments) -> Result<ExitCode, Failure> {
     let files = result_files(&outcome)?;
     write_files(&arguments.output, &files)?;
 
+    for selection in &outcome.lenses {
+        note(&format!("model[{}]: {}", selection.camera, selection.why));
+    }
+    if let Some(shape) = &outcome.shape {
+        note(&format!("shape: {}", shape.why));
+    }
     let conclusion = conclusion(&outcome, &arguments.output);
     if arguments.json {
         tell_findings(&outcome.findings);
@@ -62,12 +68,19 @@ pub(crate) fn run(arguments: &CalibrateArguments) -> Result<ExitCode, Failure> {
 fn layered(job: &Job, arguments: &CalibrateArguments) -> Result<CalibrateOptions, Failure> {
     let stated = CalibrateOptions::of_job(job)?;
     Ok(CalibrateOptions {
-        model: arguments.model.unwrap_or(stated.model),
+        model: arguments.model.clone().unwrap_or(stated.model),
         shape: arguments.shape.unwrap_or(stated.shape),
         regularization: arguments.regularization.unwrap_or(stated.regularization),
         loss: arguments.loss.unwrap_or(stated.loss),
         reject: arguments.reject.unwrap_or(stated.reject),
         holdout: arguments.holdout.unwrap_or(stated.holdout),
+        hold: if arguments.hold.is_empty() { stated.hold } else { arguments.hold.clone() },
+        prior: arguments.prior.clone().or(stated.prior),
+        share_lens: if arguments.share_lens.is_empty() {
+            stated.share_lens
+        } else {
+            arguments.share_lens.clone()
+        },
         cameras: if arguments.cameras.is_empty() { stated.cameras } else { arguments.cameras.clone() },
         jobs: arguments.jobs.unwrap_or(stated.jobs),
     })

@@ -32,7 +32,7 @@ pub(crate) fn run(arguments: &ValidateArguments) -> Result<ExitCode, Failure> {
     }
     let job = inputs::load(&arguments.input)?;
     let mut options = CalibrateOptions::of_job(&job)?;
-    options.model = arguments.model.unwrap_or(options.model);
+    options.model = arguments.model.clone().unwrap_or(options.model);
     let outcome = calibrate(&job, &options, &Watch::default())?;
     let compare_options = CompareOptions { distance_m: arguments.distance_m, ..CompareOptions::default() };
     let comparison = cross_validate(

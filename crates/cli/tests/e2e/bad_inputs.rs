@@ -104,6 +104,11 @@ fn mistakes_on_the_command_line_are_named() {
     let stereo = dataset("opencv-stereo");
     for (flags, parts) in [
         (&["--model", "opencv6"][..], &["no lens model `opencv6`", "opencv5", "kannala-brandt4"][..]),
+        (&["--model", "opencv5,middle=eucm"], &["no camera `middle`", "left, right"]),
+        (&["--model", "cahvore"], &["cahvore cannot be calibrated", "hint: take --model cahvor"]),
+        (&["--hold", "k99"], &["`k99` is not one of", "lens"]),
+        (&["--hold", "fx"], &["fx of camera left cannot be held", "--prior"]),
+        (&["--share-lens", "left+middle"], &["no camera `middle`", "left, right"]),
         (&["--shape", "3"], &["`3` is not one of: none, 2"]),
         (&["--reject", "-1"], &["-1"]),
         (&["--loss", "huber:1"], &["huber:1", "cauchy:PX"]),

@@ -139,3 +139,33 @@ fn flags_come_before_the_job_file() {
     ];
     boresight(folder.path(), &arguments).good();
 }
+
+#[test]
+fn lenses_are_chosen_given_by_camera_believed_and_held() {
+    let folder = tempfile::tempdir().unwrap();
+    let stereo = dataset("opencv-stereo");
+    let arguments = ["calibrate", &stereo, "--model", "auto,right=opencv4", "--shape", "auto", "--json"];
+    let chosen = boresight(folder.path(), &arguments);
+    let stderr = chosen.stderr.clone();
+    for part in ["model[left]: ", "runner-up", "shape: views that took no part"] {
+        assert!(stderr.contains(part), "`{part}` is not in: {stderr}");
+    }
+    assert!(!stderr.contains("model[right]"), "{stderr}");
+    let chosen = json(&chosen.good());
+    assert_eq!(chosen["cameras"][1]["model"], "opencv4");
+    assert_eq!(chosen["provenance"]["options"]["model"], "auto,right=opencv4");
+    let why = chosen["provenance"]["options"]["model.left"].as_str().unwrap();
+    assert!(why.starts_with(chosen["cameras"][0]["model"].as_str().unwrap()), "{why}");
+
+    let value = |calibration: &Value, camera: usize, param: &str| {
+        calibration["cameras"][camera]["params"][param]["value"].as_f64().unwrap()
+    };
+    let arguments =
+        ["calibrate", &stereo, "--prior", "out", "--hold", "lens:left,cx:right", "--json", "-o", "again"];
+    let held = json(&boresight(folder.path(), &arguments).good());
+    for param in ["fx", "cx"] {
+        assert_eq!(value(&held, 0, param), value(&chosen, 0, param));
+    }
+    assert_eq!(value(&held, 1, "cx"), value(&chosen, 1, "cx"));
+    assert!(value(&held, 1, "fx") != value(&chosen, 1, "fx"));
+}

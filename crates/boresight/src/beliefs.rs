@@ -1,0 +1,249 @@
+//! What is known beforehand: holds, an earlier calibration as a prior, lenses that cameras share.
+
+use std::fmt;
+use std::path::Path;
+use std::str::FromStr;
+
+use boresight_adjust::{AdjustOptions, Hold, Prior, Quantity, Share};
+use boresight_camera::{Camera, Model, ParamGroup};
+use boresight_data::{Calibration, CameraId, Dataset, RigCamera, Scene};
+use boresight_io::read_calibration;
+
+use crate::choices::BadChoice;
+use crate::error::Error;
+use crate::options::{CalibrateOptions, base_sigma_px};
+
+/// The columns of a pose, as calibrations name them.
+const POSE_COLUMNS: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m"];
+
+/// Something that is not estimated.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct HoldChoice {
+    /// `lens`, `pose`, `shape`, or the name of a lens parameter such as `k3`.
+    pub what: String,
+    /// The camera; `None` is all.
+    pub camera: Option<String>,
+}
+
+impl FromStr for HoldChoice {
+    type Err = BadChoice;
+
+    fn from_str(text: &str) -> Result<Self, BadChoice> {
+        let (what, camera) = match text.split_once(':') {
+            Some((what, camera)) => (what, Some(camera.to_owned())),
+            None => (text, None),
+        };
+        let is_known = ["lens", "pose", "shape"].contains(&what)
+            || Model::names()
+                .iter()
+                .filter_map(|name| name.parse::<Model>().ok())
+                .any(|model| model.param_names().contains(&what));
+        if !is_known || camera.as_deref() == Some("") || (what == "shape" && camera.is_some()) {
+            let takes = "lens, pose or a lens parameter such as k3, each for all cameras or as lens:NAME for one; shape";
+            return Err(BadChoice { value: text.to_owned(), takes });
+        }
+        Ok(Self { what: what.to_owned(), camera })
+    }
+}
+
+impl fmt::Display for HoldChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.camera {
+            Some(camera) => write!(f, "{}:{camera}", self.what),
+            None => f.write_str(&self.what),
+        }
+    }
+}
+
+/// An earlier calibration, and where it was read.
+pub(crate) struct Earlier {
+    path: String,
+    calibration: Calibration,
+}
+
+impl Earlier {
+    pub(crate) fn read(path: &Path) -> Result<Self, Error> {
+        let (calibration, _) = read_calibration(path)?;
+        Ok(Self { path: path.display().to_string(), calibration })
+    }
+
+    /// Returns a camera that is known from before.
+    fn camera(&self, name: &str) -> Option<&RigCamera> {
+        let idx = self.calibration.cameras.iter().position(|camera| camera.name == name)?;
+        self.calibration.scene.rig.cameras.as_slice().get(idx)?.as_ref()
+    }
+
+    /// Returns the lenses of the dataset's cameras that are known from before.
+    pub(crate) fn lenses(&self, dataset: &Dataset) -> Result<Vec<(CameraId, Camera)>, Error> {
+        let mut lenses = Vec::new();
+        for (id, info) in dataset.cameras.enumerate() {
+            let Some(known) = self.camera(&info.name) else { continue };
+            if known.camera.image_size != info.image_size {
+                let [[was_wide, was_high], [wide, high]] = [known.camera.image_size, info.image_size];
+                let why = format!(
+                    "camera {} had images of {was_wide}x{was_high} and has {wide}x{high} now",
+                    info.name
+                );
+                return Err(Error::NoPrior { path: self.path.clone(), why });
+            }
+            lenses.push((id, known.camera.clone()));
+        }
+        Ok(lenses)
+    }
+
+    fn reference(&self) -> Option<&str> {
+        let reference = self.calibration.scene.rig.reference()?;
+        Some(&self.calibration.cameras[reference].name)
+    }
+
+    fn place(&self, name: &str) -> Option<usize> {
+        self.calibration.uncertainty.names.iter().position(|known| known == name)
+    }
+
+    /// Puts what is known into the seed and returns it as a prior; what was held is held again.
+    fn apply(&self, dataset: &Dataset, seed: &mut Scene, holds: &mut Vec<Hold>) -> Result<Prior, Error> {
+        let reference = seed.rig.reference();
+        let same_rig = reference.is_some_and(|id| self.reference() == Some(&dataset.cameras[id].name));
+        let (mut quantities, mut places) = (Vec::new(), Vec::new());
+        for (id, info) in dataset.cameras.enumerate() {
+            let (Some(known), Some(placed)) = (self.camera(&info.name), &mut seed.rig.cameras[id]) else {
+                continue;
+            };
+            placed.camera.params.clone_from(&known.camera.params);
+            for (param, name) in known.camera.model.param_names().iter().enumerate() {
+                match self.place(&format!("{}.{name}", info.name)) {
+                    Some(place) => {
+                        quantities.push(Quantity::LensParam(id, param, known.camera.params[param]));
+                        places.push(place);
+                    }
+                    None => holds.push(Hold::LensParam(id, param)),
+                }
+            }
+            let columns =
+                POSE_COLUMNS.map(|column| self.place(&format!("{}.cam_from_rig.{column}", info.name)));
+            if same_rig {
+                placed.cam_from_rig = known.cam_from_rig;
+            }
+            if same_rig
+                && reference != Some(id)
+                && let [Some(_), Some(_), Some(_), Some(_), Some(_), Some(_)] = columns
+            {
+                quantities.push(Quantity::CamFromRig(id, known.cam_from_rig));
+                places.extend(columns.iter().flatten());
+            }
+        }
+        if quantities.is_empty() {
+            let why = self.calibration.uncertainty.unavailable.clone();
+            let why = why.unwrap_or_else(|| "it has no camera of this dataset".to_owned());
+            return Err(Error::NoPrior { path: self.path.clone(), why });
+        }
+        let uncertainty = &self.calibration.uncertainty;
+        let n_all = uncertainty.names.len();
+        // What is written contains the noise there was, in pixels; the new fit has residuals in units of its
+        // stated sigma, and multiplies by the noise it finds.
+        let n_corners: usize = self.calibration.cameras.iter().map(|camera| camera.observations).sum();
+        let freedom = uncertainty.degrees_of_freedom.max(1) as f64;
+        let noise_px = self.calibration.rms_px * (n_corners as f64 / freedom).sqrt();
+        let factor = (base_sigma_px(dataset) / noise_px).powi(2);
+        let covariance = places
+            .iter()
+            .flat_map(|&i| places.iter().map(move |&j| factor * uncertainty.covariance[i * n_all + j]))
+            .collect();
+        Ok(Prior { quantities, covariance })
+    }
+}
+
+/// Puts what is known beforehand into the seed and the options of an adjustment.
+///
+/// `known` are the lenses that the job states.
+pub(crate) fn apply_beliefs(
+    options: &CalibrateOptions,
+    earlier: Option<&Earlier>,
+    known: &[(CameraId, Camera)],
+    dataset: &Dataset,
+    seed: &mut Scene,
+    adjust: &mut AdjustOptions,
+) -> Result<(), Error> {
+    if let Some(earlier) = earlier {
+        let prior = earlier.apply(dataset, seed, &mut adjust.holds)?;
+        adjust.priors.push(prior);
+    }
+    let find = |name: &str| -> Result<CameraId, Error> {
+        let found = dataset.cameras.enumerate().find(|(_, camera)| camera.name == name);
+        found.map(|(id, _)| id).ok_or_else(|| Error::UnknownCamera {
+            name: name.to_owned(),
+            known: dataset.cameras.iter().map(|camera| camera.name.clone()).collect(),
+        })
+    };
+    let name_of = |id: CameraId| dataset.cameras[id].name.as_str();
+    let has_lens = |id: CameraId| {
+        known.iter().any(|(known, _)| *known == id)
+            || earlier.is_some_and(|earlier| earlier.camera(name_of(id)).is_some())
+    };
+    let reference = seed.rig.reference();
+    let has_pose = |id: CameraId| {
+        reference == Some(id)
+            || earlier.is_some_and(|earlier| {
+                earlier.camera(name_of(id)).is_some() && earlier.reference() == reference.map(name_of)
+            })
+    };
+    let untold = |id: CameraId, what: &str| Error::NothingToHold {
+        camera: name_of(id).to_owned(),
+        what: what.to_owned(),
+    };
+    for hold in &options.hold {
+        if hold.what == "shape" {
+            adjust.holds.push(Hold::Shapes);
+            continue;
+        }
+        let cameras: Vec<CameraId> = match &hold.camera {
+            Some(name) => vec![find(name)?],
+            None => dataset.cameras.ids().collect(),
+        };
+        for id in cameras {
+            let Some(placed) = &mut seed.rig.cameras[id] else { continue };
+            match hold.what.as_str() {
+                "lens" if has_lens(id) => adjust.holds.push(Hold::Lens(id)),
+                "pose" if has_pose(id) => adjust.holds.push(Hold::CamFromRig(id)),
+                "lens" | "pose" => return Err(untold(id, &hold.what)),
+                name => {
+                    let camera = &mut placed.camera;
+                    let Some(param) = camera.model.param_names().iter().position(|known| *known == name)
+                    else {
+                        continue;
+                    };
+                    if !has_lens(id) {
+                        // What nothing tells is held where a lens without distortion has it.
+                        if camera.model.param_groups()[param] == ParamGroup::Focal {
+                            return Err(untold(id, name));
+                        }
+                        let [fx, fy] = [0, 1].map(|i| camera.params[i]);
+                        let [cx, cy] = camera.image_size.map(|size| 0.5 * (f64::from(size) - 1.0));
+                        camera.params[param] = camera.model.undistorted([fx, fy, cx, cy])[param];
+                    }
+                    adjust.holds.push(Hold::LensParam(id, param));
+                }
+            }
+        }
+    }
+    for names in &options.share_lens {
+        let cameras = names.split('+').map(find).collect::<Result<Vec<CameraId>, Error>>()?;
+        adjust.shares.push(Share::Lens(cameras));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn holds_are_read_and_written() {
+        for text in ["lens", "lens:left", "pose:right", "shape", "k3", "cx:left"] {
+            assert_eq!(text.parse::<HoldChoice>().unwrap().to_string(), text);
+        }
+        for text in ["", "k99", "lens:", "shape:left"] {
+            assert!(text.parse::<HoldChoice>().is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! Calibrations of synthetic recordings through the whole pipeline.
+
+use boresight_geometry::Pose;
+use boresight_synthetic::{PlacedCamera, Recipe, Synthetic, simulate};
+use boresight_validate::{CompareOptions, compare};
+
+use super::*;
+
+fn job(dataset: Dataset) -> Job {
+    Job {
+        dataset,
+        options: Default::default(),
+        options_place: None,
+        inputs: Vec::new(),
+        findings: Vec::new(),
+        robot: None,
+        known_lenses: Vec::new(),
+    }
+}
+
+fn options(model: &str, shape: &str) -> CalibrateOptions {
+    CalibrateOptions {
+        model: model.parse().unwrap(),
+        shape: shape.parse().unwrap(),
+        ..CalibrateOptions::default()
+    }
+}
+
+/// A lens that sees 140 degrees across the diagonal of 1600x1200, and a board of 560x360 mm.
+fn wide(shape_m: Vec<f64>) -> Synthetic {
+    let params = vec![800.0, 801.0, 803.0, 597.0, 0.02, -0.006, 0.001, -2e-4];
+    let camera = Camera::new("kannala-brandt4".parse().unwrap(), params, [1600, 1200]).unwrap();
+    let mut recipe = Recipe::fisheye();
+    recipe.cameras = vec![PlacedCamera { name: "wide".to_owned(), camera, cam_from_rig: Pose::identity() }];
+    recipe.target.geometry = Geometry::Chessboard { columns: 15, rows: 10, spacing_m: 0.04 };
+    recipe.shape_m = shape_m;
+    recipe.frames = 40;
+    simulate(&recipe, 21)
+}
+
+#[test]
+#[allow(clippy::print_stdout, reason = "a test says what it measured")]
+fn a_bowed_board_does_not_bend_the_lens_where_its_shape_is_estimated() {
+    let made = wide(vec![0.0005, 0.0]);
+    let truth = &made.truth.rig.cameras[CameraId(0)].as_ref().unwrap().camera;
+    let calibrated = |choice: &str| {
+        let options = options("kannala-brandt4", choice);
+        let outcome = calibrate(&job(made.dataset.clone()), &options, &Watch::default()).unwrap();
+        let lens = outcome.calibration.scene.rig.cameras[CameraId(0)].as_ref().unwrap().camera.clone();
+        let difference = compare(truth, &lens, &CompareOptions::default()).unwrap();
+        println!(
+            "shape {choice}: lens off by {:.3} px rms, {:.3} px max",
+            difference.rms_px, difference.max_px
+        );
+        (difference, outcome)
+    };
+    let (with, outcome) = calibrated("auto");
+    let shape = outcome.shape.clone().unwrap();
+    println!("{}", shape.why);
+    assert!(shape.helps && shape.with_px < shape.without_px, "{}", shape.why);
+    assert!(with.rms_px <= 0.1 && with.max_px <= 0.2, "{} {}", with.rms_px, with.max_px);
+    let (without, _) = calibrated("none");
+    assert!(without.rms_px > with.rms_px, "{}", without.rms_px);
+}
+
+#[test]
+fn a_flat_board_needs_no_shape() {
+    let made = wide(vec![0.0, 0.0]);
+    let options = options("kannala-brandt4", "auto");
+    let outcome = calibrate(&job(made.dataset), &options, &Watch::default()).unwrap();
+    let shape = outcome.shape.clone().unwrap();
+    assert!(!shape.helps, "{}", shape.why);
+    assert_eq!(outcome.dataset.targets.as_slice()[0].shape, Shape::Rigid);
+}
+
+#[test]
+fn five_coefficients_on_a_wide_lens_never_look_fine() {
+    let made = wide(vec![0.0, 0.0]);
+    let outcome = calibrate(&job(made.dataset), &options("opencv5", "2"), &Watch::default());
+    // Either no start is found, or the verdict says that it fails.
+    if let Ok(outcome) = outcome {
+        assert_eq!(outcome.verdict, Verdict::Fail, "{:?}", outcome.findings);
+    }
+}
+
+#[test]
+fn cameras_may_have_lens_models_of_their_own() {
+    let made = simulate(&Recipe::stereo(), 12);
+    let watch = Watch::default();
+    let outcome = calibrate(&job(made.dataset.clone()), &options("opencv5,cam1=eucm", "2"), &watch).unwrap();
+    let rig = &outcome.calibration.scene.rig.cameras;
+    let names: Vec<&str> = rig.iter().map(|placed| placed.as_ref().unwrap().camera.model.name()).collect();
+    assert_eq!(names, ["opencv5", "eucm"]);
+    assert!(outcome.lenses.is_empty() && outcome.calibration.solve.converged);
+    let unknown = calibrate(&job(made.dataset), &options("opencv5,left=eucm", "2"), &watch).unwrap_err();
+    assert!(unknown.to_string().contains("there is no camera `left`; known: cam0, cam1"), "{unknown}");
+}
+
+#[test]
+fn a_lens_without_a_centre_is_refused_with_the_reason() {
+    let made = simulate(&Recipe::mono(), 12);
+    let refused = calibrate(&job(made.dataset), &options("cahvore", "2"), &Watch::default()).unwrap_err();
+    assert_eq!(refused.kind(), crate::ErrorKind::Usage);
+    assert!(refused.to_string().contains("cahvore cannot be calibrated"), "{refused}");
+    assert!(refused.hint().unwrap().contains("cahvor"), "{refused:?}");
+}
+#[test]
+fn an_earlier_calibration_is_a_prior_and_its_uncertainty_carries_on() {
+    let recipe = Recipe { frames: 30, ..Recipe::stereo() };
+    let (first, second) = (simulate(&recipe, 5), simulate(&Recipe { frames: 6, ..recipe }, 6));
+    let watch = Watch::default();
+    let plain = CalibrateOptions::default();
+    let earlier = calibrate(&job(first.dataset), &plain, &watch).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    crate::write_results(&earlier, folder.path()).unwrap();
+    let alone = calibrate(&job(second.dataset.clone()), &plain, &watch).unwrap().calibration;
+    let prior = CalibrateOptions { prior: Some(folder.path().to_owned()), ..plain.clone() };
+    let both = calibrate(&job(second.dataset.clone()), &prior, &watch).unwrap().calibration;
+    let sigma = |calibration: &Calibration, name: &str| crate::sigma_of(calibration, name);
+    for name in ["cam0.fx", "cam1.cx", "cam1.cam_from_rig.tz_m"] {
+        let [before, few, all] = [&earlier.calibration, &alone, &both].map(|c| sigma(c, name).unwrap());
+        // More data, less uncertainty; the noise factors of both differ by a few percent.
+        assert!(all < 1.05 * before && all < 0.8 * few, "{name}: {before} {few} {all}");
+    }
+    let held = CalibrateOptions { hold: vec!["lens".parse().unwrap()], ..prior };
+    let held = calibrate(&job(second.dataset), &held, &watch).unwrap().calibration;
+    assert_eq!(sigma(&held, "cam0.fx"), None);
+    let lens = |calibration: &Calibration| {
+        calibration.scene.rig.cameras[CameraId(0)].as_ref().unwrap().camera.params.clone()
+    };
+    assert_eq!(lens(&held), lens(&earlier.calibration));
+}
+
+#[test]
+fn cameras_may_share_a_lens_and_parameters_may_be_held() {
+    let mut recipe = Recipe::stereo();
+    recipe.cameras[1].camera = recipe.cameras[0].camera.clone();
+    let made = simulate(&recipe, 9);
+    let options = CalibrateOptions {
+        share_lens: vec!["cam0+cam1".to_owned()],
+        hold: vec!["k3".parse().unwrap()],
+        ..CalibrateOptions::default()
+    };
+    let outcome = calibrate(&job(made.dataset), &options, &Watch::default()).unwrap();
+    let rig = &outcome.calibration.scene.rig.cameras;
+    let lens = |id: u32| rig[CameraId(id)].as_ref().unwrap().camera.params.clone();
+    assert_eq!(lens(0), lens(1));
+    assert_eq!(lens(0)[8], 0.0);
+    assert!((lens(0)[0] - 1100.0).abs() < 3.0, "{:?}", lens(0));
+}
