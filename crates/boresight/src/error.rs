@@ -113,6 +113,20 @@ pub enum Error {
     /// A camera's parameters are none of its lens model.
     #[error(transparent)]
     Camera(#[from] boresight_camera::Error),
+    /// Poses of the robot and sights of the target cannot be paired.
+    #[error("there are {poses} rows of the robot and {sights} sights, and not all have a time")]
+    Unpaired {
+        /// The rows of the robot.
+        poses: usize,
+        /// The sights.
+        sights: usize,
+    },
+    /// Poses that were seen do not determine what is sought.
+    #[error("{0}")]
+    PoseFit(#[from] boresight_adjust::PoseFitError),
+    /// The lines of a positioner's joints cannot be found.
+    #[error("{0}")]
+    Joints(#[from] boresight_seed::JointError),
     /// A robot command has no answer.
     #[error(transparent)]
     Robot(#[from] crate::robot_error::RobotError),
@@ -134,8 +148,10 @@ impl Error {
             | Error::NothingToHold { .. }
             | Error::Noncentral { .. }
             | Error::NoRobotPoses => ErrorKind::Usage,
-            Error::UnreadablePoses { .. } => ErrorKind::Input,
-            Error::Degenerate(_) | Error::NoClosedForm { .. } => ErrorKind::Solve,
+            Error::UnreadablePoses { .. } | Error::Unpaired { .. } => ErrorKind::Input,
+            Error::Degenerate(_) | Error::NoClosedForm { .. } | Error::PoseFit(_) | Error::Joints(_) => {
+                ErrorKind::Solve
+            }
             Error::Compare(
                 boresight_validate::Error::NotPositive { .. } | boresight_validate::Error::Columns { .. },
             ) => ErrorKind::Usage,
@@ -167,6 +183,12 @@ impl Error {
                 Some(finding) => format!("{}. {}", finding.message, finding.fix),
                 None => "`boresight robot poses` tries all conventions".to_owned(),
             }),
+            Error::Unpaired { .. } => {
+                text("give each row of both a time (column time_s), or as many rows of one as of the other")
+            }
+            Error::PoseFit(_) | Error::Joints(_) => {
+                text("add rows in which the robot, or each joint by itself, turned by 30 degrees or more")
+            }
             Error::NoClosedForm { .. } => text(
                 "`boresight robot poses` tries all readings of the poses; are they turned about different axes?",
             ),

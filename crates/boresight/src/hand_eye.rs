@@ -9,7 +9,13 @@ mod checks;
 mod compare;
 mod document;
 mod doubts;
+mod joint_chain;
 mod pose_doctor;
+mod poses_document;
+#[cfg(test)]
+mod poses_tests;
+mod sighted_poses;
+mod while_moving;
 mod working_points;
 
 use boresight_adjust::{
@@ -31,7 +37,10 @@ use crate::options::CalibrateOptions;
 pub use checks::{ROBOT_CODES, check_motions, explain_robot};
 pub use compare::{Figures, MethodFigures};
 pub use document::{HAND_EYE_SCHEMA, HandEyeDocument};
+pub use joint_chain::{Joint, JointChain, JointLink, joint_chain};
 pub use pose_doctor::{PoseReadings, describe as describe_reading, read_poses};
+pub use poses_document::{HAND_EYE_POSES_SCHEMA, JOINTS_SCHEMA, joints_to_json, pose_hand_eye_to_json};
+pub use sighted_poses::{ClockPair, PoseFigures, PoseHandEye, hand_eye_of_poses};
 pub use working_points::{SigmaSource, WorkingPoint};
 
 /// Frames below which a map of the robot's errors of position is not estimated.
@@ -75,6 +84,8 @@ pub struct HandEyeOutcome {
     pub noise: Option<EstimatedNoise>,
     /// How well points are known in the robot's base, one a frame.
     pub working_points: Vec<WorkingPoint>,
+    /// How far the clocks of robot and camera are apart, where the robot moved.
+    pub clock: Option<ClockPair>,
     /// The scatter of the robot's two poses over the frames that were left out, one after another: the
     /// jackknife's standard deviations `[rx, ry, rz, tx, ty, tz]` of the rig's pose.
     pub jackknife: [f64; 6],
@@ -84,7 +95,9 @@ pub struct HandEyeOutcome {
 pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<HandEyeOutcome, Error> {
     let robot = job.robot.as_ref().ok_or(Error::NoRobotPoses)?;
     let first = calibrate(job, &options.cameras, watch)?;
-    let dataset = without_rejected(&first.dataset, &first.calibration);
+    let mut dataset = without_rejected(&first.dataset, &first.calibration);
+    let moving = while_moving::place_frames(robot, &mut dataset, &first.calibration.scene)?;
+    let robot = moving.as_ref().map_or(robot, |moving| &moving.robot);
     let frames = frames_told(&dataset, &first.calibration.scene);
     let poses: Vec<Pose> = frames.iter().map(|told| told.base_from_flange).collect();
     let told = robot.row_of_frame.iter().flatten().count();
@@ -103,6 +116,7 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     }
     let mut findings = check_motions(&poses, robot.axes)?;
     findings.extend(readings.finding.filter(|_| robot.axes == RobotAxes::Six));
+    findings.extend(moving.iter().flat_map(|moving| moving.findings.clone()));
     let pairs = |mounting| -> Vec<PosePair> {
         frames.iter().map(|told| pose_pair(mounting, &told.base_from_flange, &told.rig_from_target)).collect()
     };
@@ -224,7 +238,8 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     let outcome = Outcome { calibration, dataset, findings, verdict, ..first };
     let jackknife = jackknife.map(|(sigmas, _)| sigmas).unwrap_or([f64::NAN; 6]);
     let chosen = n_closed + chosen;
-    Ok(HandEyeOutcome { outcome, mounting, methods, chosen, frames, noise, working_points, jackknife })
+    let clock = moving.as_ref().map(|moving| moving.clock);
+    Ok(HandEyeOutcome { outcome, mounting, methods, chosen, frames, noise, working_points, clock, jackknife })
 }
 
 /// A frame of which both the robot and the cameras tell.

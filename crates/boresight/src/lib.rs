@@ -43,26 +43,26 @@ mod uncertainty;
 mod verify;
 
 pub use boresight_adjust::{
-    Heights, ObjectPose, Observer, Progress, RobotNoise, TipKnowledge, Touch, TouchLens, TouchOptions,
-    TouchedPlane,
+    Heights, ObjectPose, Observer, PoseNoise, Progress, RobotNoise, TipKnowledge, Touch, TouchLens,
+    TouchOptions, TouchedPlane, TriedModel,
 };
 pub use boresight_camera::{Camera, Model};
 pub use boresight_data::{
     Calibration, CameraFit, CameraId, CameraInfo, CircleLayout, Dataset, Dictionary, Finding, Frame,
     Geometry, HeldOut, Id, Mounting, Observation, PlaneModel, PoseConvention, Provenance, Rejection,
-    RejectionReason, Rig, RigCamera, RobotPlane, Scene, Severity, Shape, Target, View,
+    RejectionReason, Rig, RigCamera, RobotPlane, RotationKind, Scene, Severity, Shape, Target, View,
 };
-pub use boresight_geometry::{Pose, Vector3};
+pub use boresight_geometry::{Pose, UnitQuaternion, Vector3};
 pub use boresight_io::{
     CameraPair, Clock, Contents, DetectionCache, Error as IoError, FORMATS, IMAGE_EXTENSIONS, ImageFile,
     ImageJob, ImageTopic, Job, JobOverrides, Kind as IoKind, NamedCamera, OutputFile, PLANE_SCHEMA,
     PlanarMotionRow, PlaneDocument, RecordingJob, RecordingOptions, RobotAxes, RobotInput, RobotJob,
-    RobotOverrides, RobotTable, SeenImage, SeenRecorded, StatedCamera, Survey, Topic, TouchDocument,
-    TriedDocument, calibration_to_json, calibration_to_mcap, corners_to_csv, export, hash, is_pattern,
-    load_images, load_job, load_recordings, matrices_to_json, matrices_to_npy, matrices_to_text,
-    overlay_to_png, parse_target, plane_to_json, read_calibration, read_cameras, read_image,
-    read_observations, read_planar_motions, read_plane, read_robot_job, survey_recordings, write_atomically,
-    write_files,
+    RobotOverrides, RobotRows, RobotTable, SeenImage, SeenRecorded, SightsJob, StatedCamera, Survey,
+    TimedPose, Topic, TouchDocument, TriedDocument, calibration_to_json, calibration_to_mcap, corners_to_csv,
+    export, hash, is_pattern, load_images, load_job, load_recordings, matrices_to_json, matrices_to_npy,
+    matrices_to_text, overlay_to_png, parse_target, plane_to_json, read_calibration, read_cameras,
+    read_image, read_observations, read_planar_motions, read_plane, read_robot_job, read_sights_job,
+    survey_recordings, write_atomically, write_files,
 };
 pub use boresight_seed::planar_robot::{PLANAR_NAMES, PlanarError, PlanarMotion, PlanarRobot, planar_robot};
 pub use boresight_validate::{
@@ -83,8 +83,10 @@ pub use cross_validation::{compared, cross_validate};
 pub use error::{Error, ErrorKind};
 pub use explain::{codes, explain};
 pub use hand_eye::{
-    Figures, HAND_EYE_SCHEMA, HandEyeDocument, HandEyeOptions, HandEyeOutcome, MethodFigures, NoiseChoice,
-    PoseReadings, SigmaSource, WorkingPoint, check_motions, describe_reading, hand_eye, read_poses,
+    ClockPair, Figures, HAND_EYE_POSES_SCHEMA, HAND_EYE_SCHEMA, HandEyeDocument, HandEyeOptions,
+    HandEyeOutcome, JOINTS_SCHEMA, Joint, JointChain, JointLink, MethodFigures, NoiseChoice, PoseFigures,
+    PoseHandEye, PoseReadings, SigmaSource, WorkingPoint, check_motions, describe_reading, hand_eye,
+    hand_eye_of_poses, joint_chain, joints_to_json, pose_hand_eye_to_json, read_poses,
 };
 pub use held_out::held_out;
 pub use images::{DetectWatch, ImageProgress, Stages, detect_images, detection_cache, load};

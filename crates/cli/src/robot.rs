@@ -8,6 +8,7 @@ mod pose;
 mod hand_eye;
 mod planar;
 mod poses;
+mod sighted_poses;
 
 use std::process::ExitCode;
 

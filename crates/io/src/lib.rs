@@ -47,6 +47,7 @@ mod robot_table;
 #[cfg(test)]
 mod samples;
 mod seen;
+mod sights_job;
 #[cfg(test)]
 mod speed_tests;
 mod target_spec;
@@ -84,4 +85,5 @@ pub use robot_plane_json::{
     PLANE_SCHEMA, PlaneDocument, TouchDocument, TriedDocument, plane_to_json, read_plane,
 };
 pub use robot_table::RobotTable;
+pub use sights_job::{RobotRows, SightsJob, TimedPose, read_sights_job};
 pub use target_spec::parse_target;

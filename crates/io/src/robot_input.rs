@@ -7,6 +7,7 @@
 //! convention = "kuka-abc"      # where the header does not say; see `boresight robot hand-eye --help`
 //! axes = 4                     # for robots that turn about the base's z only
 //! height_m = 0.012             # for these: the height of target or fixed camera in the base
+//! frame_times = "times.csv"    # for robots that moved: frame,time_s by the camera's clock; poses then need times
 //! ```
 
 use std::path::Path;
@@ -28,6 +29,7 @@ pub(crate) struct RobotTable {
     pub convention: Option<String>,
     pub axes: Option<u8>,
     pub height_m: Option<f64>,
+    pub frame_times: Option<String>,
 }
 
 /// A robot as a job describes it.
@@ -45,6 +47,9 @@ pub struct RobotInput {
     pub axes: RobotAxes,
     /// For robots that do: the height in the base of the target, or of the fixed rig, in metres.
     pub height_m: Option<f64>,
+    /// For robots that moved: when each frame was taken, in seconds by the camera's clock; empty for robots that
+    /// stood, whose rows are tied to frames.
+    pub frame_times_s: Vec<Option<f64>>,
 }
 
 /// About how many axes a robot turns.
@@ -140,14 +145,65 @@ pub(crate) fn load_robot(
         Some(mounting) => Some(mounting),
         None => table.mount.as_ref().map(|word| mounting(word, place)).transpose()?,
     };
+    if let Some(name) = &table.frame_times {
+        let path = folder.join(name);
+        let bytes = read(&path)?;
+        hashes.push((name.clone(), hash(&bytes)));
+        let frame_times_s = frame_times(&path.display().to_string(), &bytes, dataset)?;
+        if rows.iter().any(|row| row.time_s.is_none()) {
+            let message = "[robot] has frame_times, and rows of the poses have no time".to_owned();
+            return Err(config(message, "add a column time_s to the poses, by the robot's clock"));
+        }
+        let (row_of_frame, height_m) = (vec![None; dataset.frames.len()], table.height_m);
+        let robot = RobotInput { mounting, rows, convention, row_of_frame, axes, height_m, frame_times_s };
+        return Ok(Some((robot, hashes)));
+    }
     let row_of_frame = rows_of_frames(dataset, &rows, place)?;
     for (frame, row) in dataset.frames.iter_mut().zip(&row_of_frame) {
         let Some(row_idx) = row else { continue };
         // A row that is no pose in this convention is told by whoever needs it.
         frame.base_from_flange = convention.base_from_flange(&rows[*row_idx]);
     }
-    let robot = RobotInput { mounting, rows, convention, row_of_frame, axes, height_m: table.height_m };
+    let (height_m, frame_times_s) = (table.height_m, Vec::new());
+    let robot = RobotInput { mounting, rows, convention, row_of_frame, axes, height_m, frame_times_s };
     Ok(Some((robot, hashes)))
+}
+
+/// Reads when frames were taken: a table with the columns `frame` and `time_s`.
+fn frame_times(file: &str, bytes: &[u8], dataset: &Dataset) -> Result<Vec<Option<f64>>, Error> {
+    let text = String::from_utf8_lossy(bytes);
+    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let fields = |line: &str| line.split(',').map(|field| field.trim().to_owned()).collect::<Vec<String>>();
+    let (first, header) = lines.next().ok_or_else(|| Error::Empty { file: file.to_owned() })?;
+    let header = fields(header);
+    let at = |missing: &'static str| {
+        header.iter().position(|field| field == missing).ok_or_else(|| Error::Header {
+            place: Place::line(file, first + 1),
+            header: header.join(","),
+            missing,
+            example: "frame,time_s",
+        })
+    };
+    let (frame, time) = (at("frame")?, at("time_s")?);
+    let mut times_s = vec![None; dataset.frames.len()];
+    for (i, line) in lines {
+        let row = fields(line);
+        if row.len() != header.len() {
+            let (found, need) = (row.len(), header.len());
+            return Err(Error::ColumnCount { place: Place::line(file, i + 1), found, need, cut_off: false });
+        }
+        let time_s = row[time].parse::<f64>().ok().filter(|time_s| time_s.is_finite());
+        let time_s = time_s.ok_or_else(|| Error::BadValue {
+            place: Place::line(file, i + 1),
+            column: "time_s".to_owned(),
+            value: row[time].clone(),
+            need: "it must be a number of seconds".to_owned(),
+        })?;
+        if let Some(known) = dataset.frames.iter().position(|known| known.name == row[frame]) {
+            times_s[known] = Some(time_s);
+        }
+    }
+    Ok(times_s)
 }
 
 /// Ties rows to frames: by name where the table has names, else by order, one row for each frame.

@@ -1,5 +1,7 @@
 //! `cargo xtask hand-eye`: calibrates the recorded robots and writes the tables of `docs/hand-eye.md`.
 
+mod poses;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::ExitCode;
@@ -117,6 +119,7 @@ pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
     let text = [
         markdown(&head, &headlines),
         markdown(&["recording, method", "mean mm", "95 % mm", "most mm"], &methods),
+        poses::tables()?,
     ]
     .join("\n");
     println!("{text}");
@@ -142,14 +145,19 @@ fn jobs() -> anyhow::Result<Vec<String>> {
 
 /// Returns what came of a recording; a failed quality gate is one of its findings.
 fn calibrate(name: &str) -> anyhow::Result<HandEye> {
+    let text = calibrated(&Path::new(JOBS).join(name), name)?;
+    serde_json::from_str(&text).with_context(|| name.to_owned())
+}
+
+/// Calibrates a job and returns its `hand-eye.json`.
+fn calibrated(job: &Path, name: &str) -> anyhow::Result<String> {
     let out = target().join("robot").join(name);
     let mut calibrate = command(target().join("debug/boresight"));
-    calibrate.args(["robot", "hand-eye"]).arg(Path::new(JOBS).join(name)).arg("-o").arg(&out);
+    calibrate.args(["robot", "hand-eye"]).arg(job).arg("-o").arg(&out);
     let status = calibrate.stdout(std::io::stderr()).status().with_context(|| shown(&calibrate))?;
     if !matches!(status.code(), Some(0 | 1)) {
         bail!("{}: {status}", shown(&calibrate));
     }
     let path = out.join("hand-eye.json");
-    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
-    serde_json::from_str(&text).with_context(|| path.display().to_string())
+    std::fs::read_to_string(&path).with_context(|| path.display().to_string())
 }

@@ -132,6 +132,34 @@ pub fn check_motions(base_from_flange: &[Pose], axes: RobotAxes) -> Result<Vec<F
 /// The codes of findings about robots, with their long texts.
 pub const ROBOT_CODES: &[(&str, &str)] = &[
     (
+        "clock-not-steady",
+        "What it means: the offset between the clocks of robot and camera is not the same in both halves of the recording.\n\n\
+         Why it matters: one offset serves the whole recording; a clock that drifts, or times of arrival instead of\n\
+         exposure, put the robot elsewhere than the camera saw it.\n\n\
+         How to fix it: time both by one clock, or record for a shorter time; use the times of exposure.",
+    ),
+    (
+        "clock-offset",
+        "What it means: the clocks of robot and camera are apart. The offset was estimated together with the poses, and\n\
+         the robot's poses were taken at the camera's times with it.\n\n\
+         Why it matters: a robot that moves at a metre a second is off by a millimetre for each millisecond.\n\n\
+         How to fix it: nothing, as long as the offset is used with the result wherever the robot moves.",
+    ),
+    (
+        "clock-offset-unclear",
+        "What it means: how fast the robot turned and how fast the target was seen to turn do not agree well at any offset\n\
+         of the clocks, or agree as well at another.\n\n\
+         Why it matters: with a wrong offset every pair of poses is wrong, and the calibration with it.\n\n\
+         How to fix it: turn faster and about changing axes, with stops in between; check that both files are of one\n\
+         recording, and that the tracker followed one target.",
+    ),
+    (
+        "joint-unit",
+        "What it means: the target turns by more or less than a joint's reading says.\n\n\
+         Why it matters: with the wrong unit or gear ratio no line of a joint is where it is computed.\n\n\
+         How to fix it: name the column with the unit the readings have, j1_deg or j1_rad, and check which is which.",
+    ),
+    (
         "robot-few-poses",
         "What it means: the robot was in fewer different poses than the calibration needs; poses that differ by less\n\
          than half a degree and a millimetre count once. Three are the least, eight leave something to check with.\n\n\
@@ -203,6 +231,13 @@ pub const ROBOT_CODES: &[(&str, &str)] = &[
          the calibration holds for corrected positions only.\n\n\
          How to fix it: measure the target's spacing over its whole length. Have the robot calibrated, or correct the\n\
          positions it says by `stretch` before the result is used with them.",
+    ),
+    (
+        "sights-far-off",
+        "What it means: more sights of the target are far from where robot and calibration put them than noise explains:\n\
+         another target, a mirrored pose, a moment at which the tracker was lost.\n\n\
+         Why it matters: they count for little, but cannot be told from sights that are merely bad.\n\n\
+         How to fix it: look at these frames, use larger targets or ones seen more aslant, and leave out what is wrong.",
     ),
 ];
 

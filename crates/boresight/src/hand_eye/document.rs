@@ -22,6 +22,8 @@ pub struct HandEyeDocument {
     frames: Vec<(String, f64)>,
     methods: Vec<MethodFigures>,
     robot_noise: Option<NoiseDocument>,
+    /// How far the clocks of robot and camera are apart, where the robot moved.
+    clock: Option<super::ClockPair>,
     working_points: Vec<WorkingPoint>,
     median_sigma_m: f64,
     worst_sigma_m: f64,
@@ -101,6 +103,7 @@ impl HandEyeDocument {
                 rounds: noise.rounds.0,
                 settled: noise.rounds.1,
             }),
+            clock: outcome.clock,
             working_points: outcome.working_points.clone(),
             median_sigma_m: median(&sigmas),
             worst_sigma_m: sigmas.iter().copied().fold(f64::NAN, f64::max),

@@ -22,7 +22,8 @@ fn job_of(made: &Synthetic, mounting: Option<Mounting>) -> Job {
         .map(|frame| row_of(&frame.base_from_flange.unwrap(), convention))
         .collect();
     let row_of_frame = (0..rows.len()).map(Some).collect();
-    let robot = RobotInput { mounting, rows, convention, row_of_frame, axes: RobotAxes::Six, height_m: None };
+    let (axes, frame_times_s) = (RobotAxes::Six, Vec::new());
+    let robot = RobotInput { mounting, rows, convention, row_of_frame, axes, height_m: None, frame_times_s };
     Job {
         dataset: made.dataset.clone(),
         options: Default::default(),
@@ -217,6 +218,77 @@ fn a_four_axis_robot_is_calibrated_to_its_height() {
             "{off} {target_off}"
         );
     }
+}
+
+#[test]
+fn a_robot_that_moves_is_calibrated_by_its_clock() {
+    let mut made = simulate(&Recipe { frames: 240, ..Recipe::mono() }, 3);
+    let truth = HandEye {
+        carrier_from_rig: Pose::from_rodrigues(Vector3::new(0.3, 0.1, 0.4), Vector3::new(0.08, -0.05, 0.1)),
+        other_from_target: Pose::from_rodrigues(Vector3::new(3.1, 0.1, 0.0), Vector3::new(0.5, 0.2, 0.03)),
+    };
+    // The target waves before the camera, never twice alike; the flange is where that puts it.
+    let rig_from_target = |t: f64| {
+        let (a, b, c) = ((0.9 * t).sin(), (0.6 * t + 0.02 * t * t).cos(), (1.1 * t).sin());
+        let turn = Vector3::new(0.4 * a, 0.4 * b, 0.3 * c);
+        let turned = Pose::from_rodrigues(turn, Vector3::new(0.05 * c, 0.04 * a, 0.9 + 0.1 * b));
+        turned * Pose::new(Pose::identity().rotation, Vector3::new(-0.2, -0.15, 0.0))
+    };
+    let flange =
+        |t: f64| truth.other_from_target * rig_from_target(t).inverse() * truth.carrier_from_rig.inverse();
+    let camera = made.truth.rig.cameras.iter().flatten().next().unwrap().camera.clone();
+    let target = made.dataset.targets.iter().next().unwrap().clone();
+    let points: Vec<boresight_data::PointId> =
+        (0..target.point_count()).map(boresight_data::PointId::from_index).collect();
+    made.dataset.views.clear();
+    for i in 0..240u32 {
+        made.dataset.frames[FrameId(i)].base_from_flange = None;
+        let pose = rig_from_target(2.0 + 0.1 * f64::from(i));
+        let seen = points.iter().filter_map(|&point| {
+            let pixel = camera.project(&(pose * target.point(point, &[0.0, 0.0])))?;
+            let is_inside =
+                (0..2).all(|axis| pixel[axis] > 0.0 && pixel[axis] < f64::from(camera.image_size[axis]));
+            is_inside.then_some(boresight_data::Observation { point, pixel, sigma_px: 1.0 })
+        });
+        let observations: Vec<_> = seen.collect();
+        if observations.len() > 20 {
+            let (camera, target) = (boresight_data::CameraId(0), boresight_data::TargetId(0));
+            let frame = FrameId(i);
+            made.dataset.views.push(boresight_data::View {
+                camera,
+                frame,
+                target,
+                image: None,
+                observations,
+            });
+        }
+    }
+    assert!(made.dataset.views.len() > 150, "{} views", made.dataset.views.len());
+    for frame in made.dataset.frames.iter_mut() {
+        frame.base_from_flange = Some(Pose::identity());
+    }
+    let mut job = job_of(&made, Some(Mounting::RigOnFlange));
+    for frame in job.dataset.frames.iter_mut() {
+        frame.base_from_flange = None;
+    }
+    let name = job.dataset.cameras.iter().next().unwrap().name.clone();
+    job.known_lenses = vec![(name, camera)];
+    let robot = job.robot.as_mut().unwrap();
+    let convention = robot.convention;
+    // The robot's clock shows 70.25 s when the camera's shows zero.
+    let times = (0..2800).map(|i| 0.01 * f64::from(i));
+    robot.rows =
+        times.map(|t| PoseRow { time_s: Some(70.25 + t), ..row_of(&flange(t), convention) }).collect();
+    robot.row_of_frame = vec![None; 240];
+    robot.frame_times_s = (0..240).map(|i| Some(2.0 + 0.1 * f64::from(i))).collect();
+    let found = hand_eye(&job, &options(NoiseChoice::None), &Watch::default()).unwrap();
+    let clock = found.clock.unwrap();
+    assert!((clock.offset_s - 70.25).abs() < 1e-3, "{clock:?}");
+    let scene = &found.outcome.calibration.scene;
+    let error = (scene.robot.as_ref().unwrap().carrier_from_rig() * truth.carrier_from_rig.inverse()).log();
+    assert!(error.norm() < 1e-3, "{error}");
+    let codes: Vec<&str> = found.outcome.findings.iter().map(|finding| finding.code.as_str()).collect();
+    assert!(codes.contains(&"clock-offset") && !codes.contains(&"robot-poses-read"), "{codes:?}");
 }
 
 /// Returns the recorded robots beside the project, or none where they are absent.

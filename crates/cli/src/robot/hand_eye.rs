@@ -6,14 +6,16 @@ use std::time::Instant;
 
 use boresight::{
     CalibrateOptions, HandEyeDocument, HandEyeOptions, HandEyeOutcome, Mounting, NoiseChoice, OutputFile,
-    PoseConvention, RobotNoise, RobotOverrides, SigmaSource, Verdict, Watch, result_files, write_files,
+    PoseConvention, RobotNoise, RobotOverrides, SigmaSource, Verdict, Watch, read_sights_job, result_files,
+    write_files,
 };
 use clap::{Args, ValueEnum};
 
+use super::sighted_poses::{self, Answer};
 use crate::arguments::InputArguments;
 use crate::calibrate::tell_findings;
 use crate::failure::{Failure, Reason};
-use crate::figures::significant;
+use crate::figures::{significant, with_sigma};
 use crate::streams::{answer, note};
 use crate::table::{aligned, row};
 use crate::{inputs, summary};
@@ -95,6 +97,14 @@ fn parse_noise(text: &str) -> Result<NoiseChoice, String> {
 /// Calibrates cameras and robot, writes, and prints the summary or the document.
 pub(crate) fn run(arguments: &HandEyeArguments) -> Result<ExitCode, Failure> {
     let begin = Instant::now();
+    let given: Vec<&PathBuf> = arguments.input.config.iter().chain(&arguments.input.inputs).collect();
+    if let [only] = given[..]
+        && only.exists()
+        && let Some(job) = read_sights_job(only, &arguments.robot.overrides())?
+    {
+        let print = if arguments.json { Answer::Json } else { Answer::Summary };
+        return sighted_poses::run(&job, &arguments.output, print);
+    }
     let job = inputs::load_with_robot(&arguments.input, arguments.robot.overrides())?;
     let options = HandEyeOptions {
         cameras: CalibrateOptions::of_job(&job)?,
@@ -153,6 +163,12 @@ fn summary(result: &HandEyeOutcome) -> String {
     text.push_str(&aligned(&rows));
     text.push('\n');
     text.push_str(&poses(result));
+    if let Some(clock) = &result.clock {
+        text.push_str(&format!(
+            "clocks: the robot's shows {} ms when the camera's shows zero\n",
+            with_sigma(1e3 * clock.offset_s, Some(1e3 * clock.sigma_s))
+        ));
+    }
     if let Some(noise) = &result.noise {
         let use_of_it = match chosen.name.contains("noise") {
             true => "",

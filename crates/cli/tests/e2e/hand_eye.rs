@@ -67,6 +67,50 @@ fn degenerate_motions_are_refused_and_nothing_is_written() {
     }
 }
 
+/// A row `time x y z qx qy qz qw` of a flange that waves about x and y.
+fn timed_flange(time_s: f64) -> String {
+    let (a, b) = (0.3 * (1.3 * time_s).sin(), 0.25 * (0.9 * time_s + 0.02 * time_s * time_s).cos());
+    // The product of a turn about x by 2a and one about y by 2b.
+    let (qx, qy, qz, qw) = (a.sin() * b.cos(), a.cos() * b.sin(), a.sin() * b.sin(), a.cos() * b.cos());
+    format!("{time_s} {} {} 0.5 {qx} {qy} {qz} {qw}\n", 0.1 * b, 0.2 * a)
+}
+
+#[test]
+fn a_job_of_poses_needs_no_pixels() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+    let arm: String = (0..3000).map(|i| timed_flange(0.01 * f64::from(i))).collect();
+    // A camera in the flange's own frame that looks at the base's: what it sees is the flange, inverted.
+    let seen = (0..800).map(|i| 2.0 + f64::from(i) / 30.0).map(|time_s| {
+        let row = timed_flange(time_s);
+        let (_, pose) = row.split_once(' ').unwrap();
+        format!("{} {pose}", time_s + 0.125)
+    });
+    write("arm.txt", &arm);
+    write("seen.txt", &seen.collect::<String>());
+    write(
+        "boresight.toml",
+        "[robot]\nposes = [\"arm.txt\"]\n[sights]\nposes = [\"seen.txt\"]\nconvention = \"ros:inverse\"\n",
+    );
+    let run = boresight(folder.path(), &["robot", "hand-eye", ".", "--mount", "on-flange", "--json"]);
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    let found: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!(found["schema"], "boresight.hand-eye-poses/1");
+    let offset_s = found["clock"]["offset_s"].as_f64().unwrap();
+    assert!((offset_s + 0.125).abs() < 1e-3, "{offset_s}");
+    for axis in 0..3 {
+        let at = found["poses"][0]["translation_m"][axis].as_f64().unwrap();
+        assert!(at.abs() < 1e-3, "{at}");
+    }
+    assert!(run.stderr.contains("clock-offset"), "{}", run.stderr);
+    assert!(folder.path().join("out/hand-eye.json").is_file());
+    // Rows of both without times must be as many.
+    write("arm.txt", "0 0 0.5 0 0 0 1\n");
+    let run = boresight(folder.path(), &["robot", "hand-eye", "."]);
+    assert_eq!(run.code, Some(3), "{}", run.stderr);
+    assert!(run.stdout.is_empty() && run.stderr.contains("not all have a time"), "{}", run.stderr);
+}
+
 #[test]
 fn the_doctor_names_the_convention() {
     let folder = tempfile::tempdir().unwrap();
