@@ -18,6 +18,7 @@ type Units = &'static [(&'static str, f64)];
 const LENGTHS: Units = &[("_m", 1.0), ("_mm", 1e-3)];
 const ANGLES: Units = &[("_rad", 1.0), ("_deg", std::f64::consts::PI / 180.0)];
 const PIXELS: Units = &[("_px", 1.0)];
+const NUMBERS: Units = &[("", 1.0)];
 
 /// A table, every field as it was written.
 #[derive(Clone, Debug, PartialEq)]
@@ -97,11 +98,13 @@ impl RobotTable {
         self.rows.iter().enumerate().map(name).collect()
     }
 
-    /// Tells whether there is a column of this name, in any unit.
+    /// Tells whether there is a column of this name, in any unit or without one.
     pub fn has(&self, name: &str) -> bool {
         let is_it = |column: &String| {
             let rest = column.strip_prefix(name);
-            rest.is_some_and(|rest| [LENGTHS, ANGLES, PIXELS].concat().iter().any(|(unit, _)| *unit == rest))
+            rest.is_some_and(|rest| {
+                [LENGTHS, ANGLES, PIXELS, NUMBERS].concat().iter().any(|(unit, _)| *unit == rest)
+            })
         };
         self.columns.iter().any(is_it)
     }
@@ -119,6 +122,11 @@ impl RobotTable {
     /// Returns a column of pixel coordinates, such as `u` for the column `u_px`.
     pub fn pixels(&self, name: &'static str) -> Result<Vec<Option<f64>>, Error> {
         self.column(name, PIXELS)
+    }
+
+    /// Returns a column of numbers without a unit, such as those of a quaternion.
+    pub fn numbers(&self, name: &'static str) -> Result<Vec<Option<f64>>, Error> {
+        self.column(name, NUMBERS)
     }
 
     /// Returns the error that says a row needs a value that it does not have.
@@ -177,7 +185,7 @@ mod tests {
         assert_eq!(table.pixels("u").unwrap(), [Some(10.5), Some(11.0)]);
         let angle = table.angles_rad("phi").unwrap()[0].unwrap();
         assert!((angle - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
-        assert!(table.has("x") && !table.has("name") && !table.has("y"));
+        assert!(table.has("x") && table.has("name") && !table.has("y"));
         let error = table.lengths_m("y").unwrap_err();
         assert!(error.to_string().contains("y_m or y_mm"), "{error}");
     }

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use boresight::{
-    Heights, KnownRig, PLANE_SCHEMA, PatternTouch, PlaneDocument, PlaneModel, PlaneOutcome, Pose, RobotTable,
-    Severity, TipKnowledge, Touch, TouchDocument, TouchLens, TouchOptions, TriedDocument, Vector3, hash,
-    pattern_procedure, plane_to_json, read_robot_job, robot_plane, write_atomically,
+    Heights, KnownRig, PLANE_SCHEMA, PatternTouch, PlaneDocument, PlaneModel, PlaneOutcome, Pose,
+    PoseConvention, RobotTable, RotationKind, Severity, TipKnowledge, Touch, TouchDocument, TouchLens,
+    TouchOptions, TouchedPlane, TriedDocument, TriedModel, UnitQuaternion, Vector3, hash, pattern_procedure,
+    plane_to_json, read_robot_job, robot_plane, write_atomically,
 };
 use clap::Args;
 use serde::Deserialize;
@@ -22,8 +23,12 @@ use crate::table::{aligned, row};
 #[derive(Args, Debug)]
 pub(crate) struct PlaneArguments {
     /// A folder or job file with a `[plane]` table, or a table of touches: name,u_px,v_px,x_mm,y_mm,z_mm
-    /// (z may be left out; rx_deg,ry_deg,rz_deg, a rotation vector, make it poses of the flange)
+    /// (z may be left out; rx_deg,ry_deg,rz_deg, a rotation vector, or qx,qy,qz,qw, or angles such as
+    /// a_deg,b_deg,c_deg with --touches-as make it poses of the flange)
     pub input: PathBuf,
+    /// What angles of the flange mean, such as kuka-abc, fanuc-wpr or moving-zyx [default: the job's convention]
+    #[arg(long, value_name = "CONVENTION")]
+    pub touches_as: Option<PoseConvention>,
     /// The calibration of the camera, for a map free of distortion
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
@@ -63,6 +68,7 @@ struct PlaneJob {
     sigma_touch_mm: Option<f64>,
     tip_mm: Option<String>,
     model: Option<String>,
+    convention: Option<String>,
 }
 
 /// Fits a plane, writes it and tells how good it is.
@@ -83,7 +89,7 @@ pub(crate) fn run(arguments: &PlaneArguments) -> Result<ExitCode, Failure> {
         }
     };
     let table = RobotTable::read(&touches_file)?;
-    let (touches, heights) = read_touches(&table)?;
+    let (touches, heights) = read_touches(&table, convention(arguments, &job)?)?;
     let calibration = arguments.calibration.clone().or_else(|| job.calibration.as_ref().map(in_job));
     let rig = calibration.as_ref().map(|path| KnownRig::read(path)).transpose()?;
     let camera = rig.as_ref().map(|rig| rig.camera(arguments.camera.as_deref().or(job.camera.as_deref())));
@@ -140,7 +146,10 @@ pub(crate) fn run(arguments: &PlaneArguments) -> Result<ExitCode, Failure> {
 }
 
 /// Returns the touches of a table, and whether they have heights.
-fn read_touches(table: &RobotTable) -> Result<(Vec<Touch>, Heights), Failure> {
+fn read_touches(
+    table: &RobotTable,
+    convention: Option<PoseConvention>,
+) -> Result<(Vec<Touch>, Heights), Failure> {
     let (u, v) = (table.pixels("u")?, table.pixels("v")?);
     let (x, y) = (table.lengths_m("x")?, table.lengths_m("y")?);
     let heights = if table.has("z") { Heights::Known } else { Heights::Unknown };
@@ -148,23 +157,76 @@ fn read_touches(table: &RobotTable) -> Result<(Vec<Touch>, Heights), Failure> {
         Heights::Known => table.lengths_m("z")?,
         Heights::Unknown => vec![Some(0.0); table.len()],
     };
-    let turns = if table.has("rx") || table.has("ry") || table.has("rz") {
-        Some([table.angles_rad("rx")?, table.angles_rad("ry")?, table.angles_rad("rz")?])
-    } else {
-        None
-    };
+    let turns = turns(table, convention)?;
     let mut touches = Vec::new();
     for (i, name) in table.names().into_iter().enumerate() {
         let value = |column: &[Option<f64>], name: &str| column[i].ok_or_else(|| table.missing(i, name));
-        let turn = match &turns {
-            Some([rx, ry, rz]) => Vector3::new(value(rx, "rx")?, value(ry, "ry")?, value(rz, "rz")?),
-            None => Vector3::zeros(),
+        let rotation = match &turns {
+            Some(turns) => turns.of_row(table, i, &name)?,
+            None => Pose::identity().rotation,
         };
         let place = Vector3::new(value(&x, "x")?, value(&y, "y")?, value(&z, "z")?);
         let pixel = [value(&u, "u_px")?, value(&v, "v_px")?];
-        touches.push(Touch { name, pixel, base_from_flange: Pose::from_rodrigues(turn, place) });
+        touches.push(Touch { name, pixel, base_from_flange: Pose::new(rotation, place) });
     }
     Ok((touches, heights))
+}
+
+/// The flange's rotations in a table of touches.
+struct Turns {
+    kind: RotationKind,
+    names: &'static [&'static str],
+    /// Angles in radians, or the numbers of a quaternion.
+    columns: Vec<Vec<Option<f64>>>,
+}
+
+impl Turns {
+    fn of_row(&self, table: &RobotTable, row: usize, touch: &str) -> Result<UnitQuaternion<f64>, Failure> {
+        let number = |(column, name): (&Vec<Option<f64>>, &&str)| {
+            column[row].ok_or_else(|| Failure::from(table.missing(row, name)))
+        };
+        let numbers: Vec<f64> = self.columns.iter().zip(self.names).map(number).collect::<Result<_, _>>()?;
+        self.kind.rotation(&numbers).ok_or_else(|| {
+            let message = format!("touch {touch}: its numbers are no rotation read as {}", self.kind);
+            Failure::new(Reason::Input, message).with_hint("check the order of the columns, and --touches-as")
+        })
+    }
+}
+
+/// Returns the columns of rotations, and what their numbers mean; `None` if there are none.
+fn turns(table: &RobotTable, convention: Option<PoseConvention>) -> Result<Option<Turns>, Failure> {
+    const QUATERNION: &[&str] = &["qx", "qy", "qz", "qw"];
+    const ANGLES: [&[&str]; 3] = [&["rx", "ry", "rz"], &["a", "b", "c"], &["w", "p", "r"]];
+    if table.has("qx") {
+        let columns = QUATERNION.iter().map(|name| table.numbers(name)).collect::<Result<_, _>>()?;
+        return Ok(Some(Turns { kind: RotationKind::QuaternionXyzw, names: QUATERNION, columns }));
+    }
+    let present = |names: &&[&str]| names.iter().any(|name| table.has(name));
+    let Some((i, names)) = ANGLES.into_iter().enumerate().find(|(_, names)| present(names)) else {
+        return Ok(None);
+    };
+    let kind = match convention.map(|convention| convention.rotation).filter(|kind| kind.has_angles()) {
+        Some(kind) => kind,
+        // Three numbers named as a rotation vector are one unless something else is said.
+        None if i == 0 => RotationKind::RotationVector,
+        None => {
+            let message =
+                format!("the touches have angles {}, and nothing says what they mean", names.join(", "));
+            return Err(Failure::new(Reason::Usage, message)
+                .with_hint("add convention = \"kuka-abc\" (or another) to [plane], or --touches-as"));
+        }
+    };
+    let columns = names.iter().map(|name| table.angles_rad(name)).collect::<Result<_, _>>()?;
+    Ok(Some(Turns { kind, names, columns }))
+}
+
+/// Returns what the angles of touches mean, where it is said.
+fn convention(arguments: &PlaneArguments, job: &PlaneJob) -> Result<Option<PoseConvention>, Failure> {
+    if arguments.touches_as.is_some() {
+        return Ok(arguments.touches_as);
+    }
+    let stated = job.convention.as_ref().map(|text| text.parse::<PoseConvention>()).transpose();
+    stated.map_err(|error| Failure::new(Reason::Usage, format!("[plane] convention: {error}")))
 }
 
 /// Does the textbook's procedure with the pattern: all its seen points, and which of them were touched.
@@ -262,11 +324,25 @@ fn document(outcome: &PlaneOutcome, inputs: BTreeMap<String, String>) -> PlaneDo
     }
 }
 
+/// Says why the model is the one it is.
+fn how_chosen(touched: &TouchedPlane, options: &TouchOptions) -> &'static str {
+    let error = |tried: &TriedModel| tried.left_out_rms_m.unwrap_or(f64::INFINITY);
+    let of_chosen = touched.tried.iter().find(|tried| tried.model == touched.plane.model).map(error);
+    let least = touched.tried.iter().map(error).fold(f64::INFINITY, f64::min);
+    match (options.model, of_chosen) {
+        (Some(_), _) => "as asked for",
+        (None, Some(own)) if own > least => {
+            "of the models that predict left-out touches alike, the one with the fewest unknowns"
+        }
+        _ => "it predicts left-out touches best",
+    }
+}
+
 fn text(outcome: &PlaneOutcome, options: &TouchOptions) -> String {
     let PlaneOutcome { touched, chapter, .. } = outcome;
     let plane = &touched.plane;
     let mm = |metres: Option<f64>| metres.map_or("-".to_owned(), |metres| format!("{:.4}", 1e3 * metres));
-    let how = if options.model.is_some() { "as asked for" } else { "it predicts left-out touches best" };
+    let how = how_chosen(touched, options);
     let mut text = format!(
         "{}; model {}: {how}\n\n",
         count(touched.touches.len(), "touch").replace("touchs", "touches"),

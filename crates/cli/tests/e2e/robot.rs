@@ -16,6 +16,41 @@ fn numbers(value: &Value) -> Vec<f64> {
 }
 
 #[test]
+fn flanges_of_touches_are_read_as_their_maker_writes_them() {
+    let folder = tempfile::tempdir().unwrap();
+    // A tip 150 mm before the flange touches points of a plane that the image shows at 0.25 mm a pixel. The
+    // flange looks down (c is half a turn) and turns about z by a: KUKA's R = Rz(a) Ry(b) Rx(c).
+    let mut rows = String::from("u_px,v_px,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\n");
+    for i in 0..9 {
+        let (u, v) = (400.0 + 300.0 * f64::from(i % 3), 300.0 + 250.0 * f64::from(i / 3));
+        let (a, b) = (20.0 * f64::from(i) - 80.0, 12.0 * f64::from(i % 4) - 15.0);
+        let ((sin_a, cos_a), (sin_b, cos_b)) = (a.to_radians().sin_cos(), b.to_radians().sin_cos());
+        // The third column of R for c = 180 degrees, times the tip's length.
+        let tip = [-cos_a * sin_b, -sin_a * sin_b, -cos_b].map(|x| 150.0 * x);
+        let touched = [0.25 * u, -0.25 * v, 10.0];
+        let flange = [0, 1, 2].map(|k| touched[k] - tip[k]);
+        rows.push_str(&format!("{u},{v},{},{},{},{a},{b},180\n", flange[0], flange[1], flange[2]));
+    }
+    fs::write(folder.path().join("touches.csv"), rows).unwrap();
+    let fit = |how: &[&str]| {
+        boresight(
+            folder.path(),
+            &[&["robot", "plane", "touches.csv", "--tip-mm", "0,0,150", "--json"], how].concat(),
+        )
+    };
+    let plane = json(&fit(&["--touches-as", "kuka-abc"]).good());
+    let worst = plane["touches"].as_array().unwrap().iter().flat_map(|touch| numbers(&touch["residual_m"]));
+    let worst = worst.fold(0.0f64, |most, residual| most.max(residual.abs()));
+    assert!(worst < 1e-9, "{worst}");
+    let run = fit(&[]);
+    assert!(run.code == Some(2) && run.stderr.contains("--touches-as"), "{}", run.stderr);
+    // Read in another order, they meet no plane.
+    let other = json(&fit(&["--touches-as", "moving-xyz"]).good());
+    let off = other["touches"].as_array().unwrap().iter().map(|touch| numbers(&touch["residual_m"])[2].abs());
+    assert!(off.fold(0.0, f64::max) > 1e-3);
+}
+
+#[test]
 fn a_plane_is_found_and_parts_are_placed() {
     let folder = tempfile::tempdir().unwrap();
     let job = dataset("robot-plane");
