@@ -6,6 +6,7 @@
 mod arguments;
 mod bench;
 mod datasets;
+mod detection;
 mod hand_eye;
 mod picture;
 mod process;
@@ -53,6 +54,12 @@ const COMMANDS: &[Command] = &[
         usage: "[NAME...] [--keep-docs]",
         about: "calibrates the committed datasets and writes the tables of docs/datasets.md",
         run: datasets::run,
+    },
+    Command {
+        name: "detection",
+        usage: "[--datasets DIR] [--keep-docs]",
+        about: "compares detectors on recorded images and writes the tables of docs/detection.md",
+        run: detection::run,
     },
     Command {
         name: "picture",
