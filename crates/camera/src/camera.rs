@@ -246,6 +246,23 @@ impl Model {
         }
         self.visit(Undistorted(core))
     }
+
+    /// Returns the parameters with this core whose projection follows `pixel_of`, another lens's, or `None`
+    /// for a model without [`local_support`](Self::local_support), or where `pixel_of` fails.
+    pub fn following(
+        &self,
+        core: [f64; 4],
+        pixel_of: &dyn Fn([f64; 3]) -> Option<[f64; 2]>,
+    ) -> Option<Vec<f64>> {
+        struct Following<'a>([f64; 4], &'a dyn Fn([f64; 3]) -> Option<[f64; 2]>);
+        impl ModelVisitor for Following<'_> {
+            type Output = Option<Vec<f64>>;
+            fn visit<M: CameraModel>(self, model: M) -> Self::Output {
+                model.following(self.0, self.1)
+            }
+        }
+        self.visit(Following(core, pixel_of))
+    }
 }
 
 #[cfg(test)]

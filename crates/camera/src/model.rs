@@ -160,6 +160,15 @@ pub trait CameraModel: Copy + Send + Sync + 'static {
         None
     }
 
+    /// Returns the parameters with this core whose projection follows `pixel_of`, another lens's, or `None`
+    /// for a model without [`local_support`](Self::local_support), or where `pixel_of` fails.
+    ///
+    /// It does so as well as the model's grid resolves it, and wherever the grid is.
+    fn following(&self, core: [f64; 4], pixel_of: &dyn Fn([f64; 3]) -> Option<[f64; 2]>) -> Option<Vec<f64>> {
+        let _ = (core, pixel_of);
+        None
+    }
+
     /// Returns a point in the camera frame on the ray that `pixel` sees, in no particular length,
     /// or `None` if no ray of the model's domain projects there.
     fn unproject(&self, params: &[f64], pixel: [f64; 2]) -> Option<[f64; 3]>;

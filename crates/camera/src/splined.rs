@@ -309,6 +309,36 @@ impl<const N: usize> CameraModel for Splined<N> {
         Some(linear)
     }
 
+    /// Returns the surface that is the quasi-interpolant of the wanted one (de Boor & Fix 1973).
+    fn following(&self, core: [f64; 4], pixel_of: &dyn Fn([f64; 3]) -> Option<[f64; 2]>) -> Option<Vec<f64>> {
+        let (columns, rows) = (usize::from(self.n_columns), usize::from(self.n_rows));
+        let mut wanted = Vec::with_capacity(columns * rows);
+        for row in 0..self.n_rows {
+            for column in 0..self.n_columns {
+                let plane = self.knot_in_plane(column, row);
+                let pixel = pixel_of(from_plane(plane))?;
+                let moved = image_plane_point(&core, pixel);
+                wanted.push([moved[0] - plane[0], moved[1] - plane[1]]);
+            }
+        }
+        // A knot's own value is the surface's less this share of its second differences, which makes
+        // parabolas exact; at the edge, those of the neighbour serve.
+        let share = if N == 2 { 1.0 / 8.0 } else { 1.0 / 6.0 };
+        let mut params = core.to_vec();
+        for row in 0..rows {
+            for column in 0..columns {
+                let (x, y) = (column.clamp(1, columns - 2), row.clamp(1, rows - 2));
+                params.extend([0, 1].map(|axis| {
+                    let at = |column: usize, row: usize| wanted[row * columns + column][axis];
+                    let across = at(x - 1, row) - 2.0 * at(x, row) + at(x + 1, row);
+                    let down = at(column, y - 1) - 2.0 * at(column, y) + at(column, y + 1);
+                    at(column, row) - share * (across + down)
+                }));
+            }
+        }
+        Some(params)
+    }
+
     /// Returns a point on the ray that `pixel` sees, where the surface or its continuation by two cells
     /// leads there without turning over.
     fn unproject(&self, params: &[f64], pixel: [f64; 2]) -> Option<[f64; 3]> {
@@ -500,6 +530,38 @@ mod tests {
         if let Err(error) = found {
             assert!(error.to_string().contains("30x20:150deg"), "{error}");
         }
+    }
+
+    #[test]
+    fn a_surface_follows_another_lens_as_well_as_its_knots_resolve_it() {
+        let other = |[x, y, z]: [f64; 3]| {
+            let [x, y] = to_plane([x, y, z])?;
+            let r2 = x * x + y * y;
+            Some([820.0 * (x - 0.05 * x * r2) + 610.0, 815.0 * (y - 0.05 * y * r2 + 0.01 * x * y) + 400.0])
+        };
+        let core = [900.0, 900.0, 600.0, 405.0];
+        let rays = || {
+            (0..15).flat_map(|i| {
+                (0..11).map(move |j| from_plane([-0.7 + 0.1 * f64::from(i), -0.5 + 0.1 * f64::from(j)]))
+            })
+        };
+        let worst = |lens: Model, params: Vec<f64>| {
+            let camera = crate::Camera::new(lens, params, [1200, 800]).unwrap();
+            rays()
+                .map(|ray| {
+                    let (found, wanted) = (camera.project(&ray.into()).unwrap(), other(ray).unwrap());
+                    (found[0] - wanted[0]).hypot(found[1] - wanted[1])
+                })
+                .fold(0.0, f64::max)
+        };
+        // A cubic is beyond parabolas only where second differences are those of a neighbour.
+        let cubic = Splined::<3>::new(24, 18, 100).unwrap();
+        let found = worst(cubic.into(), cubic.following(core, &other).unwrap());
+        assert!(found < 1e-2, "{found}");
+        let parabolic = Splined::<2>::new(24, 18, 100).unwrap();
+        let found = worst(parabolic.into(), parabolic.following(core, &other).unwrap());
+        assert!(found < 0.1, "{found}");
+        assert_eq!(cubic.following(core, &|_| None), None);
     }
 
     #[test]
