@@ -159,6 +159,15 @@ fn check(case: &Case) {
             assert!((found - expected).abs() <= tolerance, "{model} ({a}, {b}): {found} against {expected}");
         }
     }
+    let Some(local) = built.term.local() else { return };
+    let mut gradient = vec![0.0; n_columns];
+    let cost_again = local.gradient(built.parameters.values(), &mut gradient, &mut scratch).unwrap();
+    assert!((cost_again - cost).abs() <= 1e-12 * cost, "cost {cost_again} against {cost}");
+    for (column, found) in gradient.iter().enumerate() {
+        // The same products in another order.
+        let (expected, size) = (entries[column * side + n_columns], norms[column] * norms[n_columns]);
+        assert!((found - expected).abs() <= 1e-12 * size, "{column}: {found} against {expected}");
+    }
 }
 
 /// Returns the first example of a model, with its configuration if it has one.

@@ -9,6 +9,8 @@ use argmin::core::{IterState, KV, Solver, State as _, TerminationReason};
 use argmin::kv;
 
 use crate::Error;
+use crate::gradient::Gradient;
+use crate::kept_model::KeptModel;
 use crate::linearization::{Failure, Linearization, Threads};
 use crate::options::SolveOptions;
 use crate::problem::{Problem, Scratch};
@@ -24,6 +26,11 @@ const LEAST_SHRINK: f64 = 0.004;
 
 /// Damping beyond this means that no step, however short, lowers the cost.
 const MOST_DAMPING: f64 = 1e12;
+
+/// Where a model is worth keeping: the share of the cost that it may at most predict as a decrease, and
+/// the least share of its own prediction that the last one must have kept.
+const KEEP_BELOW: f64 = 1e-4;
+const KEEP_GAIN: f64 = 0.75;
 
 /// A root mean square residual below this is met exactly, in units of sigma.
 const EXACT_RMS: f64 = 1e-11;
@@ -61,6 +68,11 @@ pub(crate) struct LevenbergMarquardt<'a> {
     pub damping: f64,
     /// What the damping grows by when that step is rejected.
     pub growth: f64,
+    /// The gain of the last step, in shares of its prediction.
+    gain: f64,
+    gradient: Gradient,
+    /// The end of the search, along a model that is kept.
+    kept: Option<KeptModel>,
     pub stop: Option<Stop>,
     pub counters: Counters,
 }
@@ -82,6 +94,9 @@ impl<'a> LevenbergMarquardt<'a> {
             steps: StepSolver::new(&structure),
             scratch: Scratch::default(),
             trial_values: Vec::with_capacity(values.len()),
+            gain: 0.0,
+            gradient: Gradient::new(&structure),
+            kept: None,
             structure,
             damping: options.first_damping,
             growth: 2.0,
@@ -108,26 +123,94 @@ impl<'a> LevenbergMarquardt<'a> {
         }
     }
 
-    /// Returns the cost of the model.
+    /// Returns the cost where the search is.
     pub(crate) fn cost(&self) -> f64 {
-        self.model.cost()
+        self.kept.as_ref().map_or(self.model.cost(), |kept| kept.cost)
+    }
+
+    /// Returns the predicted decrease below which the search ends.
+    fn least_decrease(&self, problem: &Problem<'_>) -> f64 {
+        let free = problem.parameters.free_count();
+        let degrees_of_freedom = problem.observation_rows().saturating_sub(free).max(1);
+        self.options.decrease_below * self.model.observation_cost / degrees_of_freedom as f64
+    }
+
+    /// Takes one step along the kept model, or returns `None` if it serves no more.
+    fn step_along(
+        &mut self,
+        problem: &Problem<'_>,
+        values: &mut Vec<f64>,
+        mut kept: KeptModel,
+    ) -> Option<Result<f64, Stop>> {
+        if self.options.cancel.as_ref().is_some_and(|cancel| cancel.load(Ordering::Relaxed)) {
+            self.kept = Some(kept);
+            return Some(Err(Stop::Cancelled));
+        }
+        let below = self.least_decrease(problem);
+        let Self { structure, model, steps, .. } = self;
+        let mut step = Vec::new();
+        let predicted = kept.step(problem, structure, model, steps, &mut step);
+        // What is lost in the cost's rounding cannot be tried, but is as good as the steps before it.
+        let lost = ROUNDING * kept.cost;
+        let untried = below.max(lost);
+        if predicted <= 0.0 || !self.try_along(problem, values, &mut kept, (&step, predicted), untried) {
+            return None;
+        }
+        self.kept = Some(kept);
+        Some(match predicted {
+            predicted if predicted <= below => Err(Stop::PredictedDecrease { predicted, below }),
+            predicted if predicted <= lost => Err(Stop::Rounding { predicted, below: lost }),
+            predicted => Ok(predicted),
+        })
+    }
+
+    /// Takes a step if it leads to as good a point as `predicted`; one that should bring no more than
+    /// `untried` is taken unseen.
+    fn try_along(
+        &mut self,
+        problem: &Problem<'_>,
+        values: &mut Vec<f64>,
+        kept: &mut KeptModel,
+        (step, predicted): (&[f64], f64),
+        untried: f64,
+    ) -> bool {
+        let Self { structure, threads, gradient, trial_values, scratch, .. } = self;
+        problem.parameters.retract(values, step, trial_values);
+        if predicted > untried {
+            self.counters.evaluations += 1;
+            if !gradient.evaluate(problem, structure, trial_values, threads, scratch)
+                || !kept.accept(step, predicted, gradient.cost, &gradient.entries)
+            {
+                return false;
+            }
+        }
+        std::mem::swap(values, trial_values);
+        true
     }
 
     /// Takes one step, trying shorter ones until the cost falls, or finds why there is none.
     fn step(&mut self, problem: &Problem<'_>, values: &mut Vec<f64>) -> Result<f64, Stop> {
-        let Self { structure, threads, model, trial, steps, trial_values, scratch, .. } = self;
+        if let Some(kept) = self.kept.take() {
+            if let Some(outcome) = self.step_along(problem, values, kept) {
+                return outcome;
+            }
+            self.counters.rejected_steps += 1;
+            self.gain = 0.0;
+            // Where the gradient is defined, so is the model.
+            if self.move_to(problem, values).is_err() {
+                return Err(Stop::NoStep { damping: self.damping, above: MOST_DAMPING });
+            }
+        }
+        let below = self.least_decrease(problem);
+        let Self { structure, threads, model, trial, steps, gradient, trial_values, scratch, .. } = self;
         let n_rows = problem.observation_rows();
-        let degrees_of_freedom = n_rows.saturating_sub(problem.parameters.free_count()).max(1);
         let cost = model.cost();
         let rms = (cost / n_rows.max(1) as f64).sqrt();
         if rms < EXACT_RMS {
             return Err(Stop::Exact { rms, below: EXACT_RMS });
         }
-        let below = self.options.decrease_below * model.observation_cost / degrees_of_freedom as f64;
         loop {
-            if let Some(cancel) = &self.options.cancel
-                && cancel.load(Ordering::Relaxed)
-            {
+            if self.options.cancel.as_ref().is_some_and(|cancel| cancel.load(Ordering::Relaxed)) {
                 return Err(Stop::Cancelled);
             }
             if self.damping > MOST_DAMPING {
@@ -144,6 +227,17 @@ impl<'a> LevenbergMarquardt<'a> {
                     return Err(Stop::PredictedDecrease { predicted, below });
                 }
                 self.counters.evaluations += 1;
+                if self.gain > KEEP_GAIN && predicted <= KEEP_BELOW * cost && structure.is_worth_keeping() {
+                    let mut kept = KeptModel::new(structure, model, self.damping);
+                    if gradient.evaluate(problem, structure, trial_values, threads, scratch)
+                        && kept.accept(&steps.step, predicted, gradient.cost, &gradient.entries)
+                    {
+                        std::mem::swap(values, trial_values);
+                        self.kept = Some(kept);
+                        return Ok(predicted);
+                    }
+                    self.counters.evaluations += 1;
+                }
                 let outcome = trial.evaluate(problem, structure, trial_values, threads, scratch);
                 // Where terms leave their support, another structure fits.
                 let other = (outcome == Err(Failure::OutsideSupport)).then(|| {
@@ -163,6 +257,7 @@ impl<'a> LevenbergMarquardt<'a> {
                         let shrink = (1.0 - (2.0 * gain - 1.0).powi(3)).max(LEAST_SHRINK);
                         self.damping = (self.damping * shrink).max(LEAST_DAMPING);
                         self.growth = 2.0;
+                        self.gain = gain;
                         match other {
                             None => std::mem::swap(model, trial),
                             Some((other, other_model, _)) => {

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use crate::composite::{AddComposite, CompositeSums, CompositeTerm};
 use crate::local::{Accumulated, EliminatedSums, LocalTerm};
 use crate::problem::{BlockId, GramMut, Problem, Scratch, Term, TermKind, Values};
+use crate::step::damping_diagonal;
 use crate::structure::{CouplingRun, HELD, Signature, Structure, TermPlace};
 
 /// The side of an eliminated block.
@@ -65,6 +66,8 @@ pub(crate) struct ReducedSums {
     pub gradient: Vec<f64>,
     /// The diagonal by reduced column.
     pub diagonal: Vec<f64>,
+    /// What damping is relative to: the diagonal, but no less than the mean of columns that are alike.
+    pub damping: Vec<f64>,
 }
 
 /// What one chunk of groups adds up to.
@@ -169,6 +172,7 @@ impl Linearization {
                     .collect(),
                 gradient: vec![0.0; structure.n_reduced],
                 diagonal: vec![0.0; structure.n_reduced],
+                damping: vec![0.0; structure.n_reduced],
             },
             observation_cost: 0.0,
             prior_cost: 0.0,
@@ -255,6 +259,16 @@ impl Linearization {
             for (a, &column) in signature.columns.iter().enumerate().filter(|&(_, &column)| column != HELD) {
                 reduced.gradient[column as usize] += sum[a * n + n - 1];
                 reduced.diagonal[column as usize] += sum[a * n + a];
+            }
+        }
+        let damping = reduced.diagonal.iter().map(|&diagonal| damping_diagonal(diagonal));
+        reduced.damping.iter_mut().zip(damping).for_each(|(entry, damping)| *entry = damping);
+        // What few points touch would move far for little, and be far off where other points come to.
+        for columns in &structure.alike {
+            let sum: f64 = columns.iter().map(|&column| reduced.diagonal[column as usize]).sum();
+            let mean = sum / columns.len() as f64;
+            for &column in columns {
+                reduced.damping[column as usize] = reduced.damping[column as usize].max(mean);
             }
         }
     }

@@ -4,6 +4,8 @@
 //! block, it adds to sums that all terms over the same reduced blocks share and whose meaning is
 //! theirs; once all are added, one of them tells which entries these sums make up.
 
+use std::ops::Range;
+
 use crate::problem::{BlockId, Scratch, Values};
 use crate::structure::Structure;
 
@@ -28,6 +30,16 @@ pub trait LocalTerm: Send + Sync {
 
     /// Writes what the shared sums at `values` mean, pair by pair of [`entries`](Self::entries).
     fn expand(&self, values: Values<'_>, sums: &[f64], entries: &mut [f64]);
+
+    /// Returns those columns that measure the same thing in the same unit, such as the knots of a spline.
+    /// They are damped alike, for one that few points touch is free to move far.
+    fn alike(&self) -> Range<usize> {
+        0..0
+    }
+
+    /// Adds the gradient by the columns of all of the term's blocks, in their order, and returns the cost,
+    /// or `None` where the term is not defined.
+    fn gradient(&self, values: Values<'_>, gradient: &mut [f64], scratch: &mut Scratch) -> Option<f64>;
 
     /// Adds the term to the shared sums and writes what touches its eliminated block.
     fn accumulate(

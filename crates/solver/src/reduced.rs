@@ -8,7 +8,7 @@ use faer::{Mat, Par};
 use crate::linearization::ReducedSums;
 use crate::pattern::NOWHERE;
 use crate::sparse::{SparseInverse, SparseSystem};
-use crate::step::{damping_diagonal, row_stride};
+use crate::step::row_stride;
 use crate::structure::{HELD, Structure};
 
 /// A symmetric system, scaled to a unit diagonal and factored.
@@ -91,16 +91,16 @@ impl Reduced {
             System::Dense(matrix, _) => {
                 matrix.as_mut().fill(0.0);
                 add_dense(structure, sums, matrix);
-                for (column, &diagonal) in sums.diagonal.iter().enumerate() {
-                    matrix[(column, column)] += damping * damping_diagonal(diagonal);
+                for (column, &diagonal) in sums.damping.iter().enumerate() {
+                    matrix[(column, column)] += damping * diagonal;
                 }
             }
             System::Sparse(system) => {
                 system.values.fill(0.0);
                 add_sparse(structure, sums, &mut system.values);
-                for (column, &diagonal) in sums.diagonal.iter().enumerate() {
+                for (column, &diagonal) in sums.damping.iter().enumerate() {
                     let place = system.diagonal(column);
-                    system.values[place] += damping * damping_diagonal(diagonal);
+                    system.values[place] += damping * diagonal;
                 }
             }
         }
@@ -183,6 +183,13 @@ impl Reduced {
         for (step, scale) in self.step.iter_mut().zip(&self.scale) {
             *step *= scale;
         }
+    }
+
+    /// Multiplies a vector by the inverse of the factored system.
+    pub(crate) fn apply_inverse(&mut self, x: &mut [f64]) {
+        x.iter_mut().zip(&self.scale).for_each(|(x, scale)| *x *= scale);
+        self.system.solve(x);
+        x.iter_mut().zip(&self.scale).for_each(|(x, scale)| *x *= scale);
     }
 
     /// Returns the inverse of the factored system.

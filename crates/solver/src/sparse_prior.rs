@@ -107,6 +107,12 @@ impl LocalTerm for SparsePrior {
         }
     }
 
+    fn gradient(&self, values: Values<'_>, gradient: &mut [f64], _: &mut Scratch) -> Option<f64> {
+        let (cost, own) = self.cost_and_gradient(values);
+        gradient.iter_mut().zip(own).for_each(|(sum, part)| *sum += part);
+        Some(cost)
+    }
+
     fn accumulate(
         &self,
         values: Values<'_>,

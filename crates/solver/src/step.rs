@@ -103,7 +103,7 @@ impl StepSolver {
         // The decrease of |r|² is -2 gᵀd - dᵀHd = dᵀ(damping D d - g), since (H + damping D) d = -g.
         let mut decrease = 0.0;
         for (column, &d) in reduced_step.iter().enumerate() {
-            let diagonal = damping_diagonal(model.reduced.diagonal[column]);
+            let diagonal = model.reduced.damping[column];
             decrease += d * (damping * diagonal * d - model.reduced.gradient[column]);
         }
         for (block, columns) in structure.reduced_columns.iter().enumerate() {
@@ -135,7 +135,7 @@ pub(crate) fn damping_diagonal(diagonal: f64) -> f64 {
     if diagonal > 0.0 { diagonal } else { 1.0 }
 }
 
-fn damped(sums: &GroupSums, damping: f64) -> Triangle {
+pub(crate) fn damped(sums: &GroupSums, damping: f64) -> Triangle {
     let mut own = sums.own;
     for (k, row) in own.iter_mut().enumerate() {
         row[k] += damping * damping_diagonal(row[k]);

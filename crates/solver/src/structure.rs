@@ -1,6 +1,6 @@
 //! What the solver works out once: which column is where, and which terms are evaluated together.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -16,8 +16,14 @@ pub(crate) const HELD: u32 = u32::MAX;
 /// so that sums are always formed in the same order.
 const MAX_CHUNKS: usize = 16;
 
+/// The same where terms with local support share sums that are longer than their work.
+const MAX_LOCAL_CHUNKS: usize = 4;
+
 /// Beyond this many numbers, partial sums of the reduced system take fewer chunks instead of more memory.
 const MAX_PARTIAL_SUM: usize = 8 << 20;
+
+/// The same for a sparse system, where clearing and adding partial sums costs more than filling them.
+const MAX_SPARSE_PARTIAL_SUM: usize = 1 << 20;
 
 /// When the reduced system is sparse.
 #[derive(Clone, Copy, Debug)]
@@ -48,6 +54,8 @@ pub(crate) struct Structure {
     pub sparse: Option<Pattern>,
     /// The distinct lists of reduced blocks that terms see; sums over terms of one list are kept together.
     pub signatures: Vec<Signature>,
+    /// Reduced columns that measure the same thing in the same unit, set by set.
+    pub alike: BTreeSet<Vec<u32>>,
     /// The terms, each with the place of its columns, in the order of evaluation.
     pub terms: Vec<TermPlace>,
     /// Terms that share an eliminated block, or a single term without one.
@@ -183,6 +191,7 @@ impl Structure {
             natural_columns: (0..n_reduced).collect(),
             sparse: None,
             signatures: Vec::new(),
+            alike: BTreeSet::new(),
             terms: Vec::new(),
             groups: Vec::new(),
             chunks: Vec::new(),
@@ -198,6 +207,7 @@ impl Structure {
             structure.renumber(graph, nodes);
         }
         structure.place_terms(problem, supports);
+        structure.find_alike(problem);
         structure.sparse = order
             .map(|(graph, nodes)| Pattern::new(&graph, &nodes, &structure.signatures, &structure.groups));
         structure.cut_chunks(problem);
@@ -399,6 +409,24 @@ impl Structure {
         self.groups.sort_by(|a, b| a.columns.cmp(&b.columns));
     }
 
+    /// Finds the columns that are damped alike.
+    fn find_alike(&mut self, problem: &Problem<'_>) {
+        for Signature { columns, local, .. } in &self.signatures {
+            let Some(term) = local.as_ref().and_then(|local| problem.terms[local.term_idx].local()) else {
+                continue;
+            };
+            let free: Vec<u32> = columns[term.alike()].iter().copied().filter(|&c| c != HELD).collect();
+            if !free.is_empty() {
+                self.alike.insert(free);
+            }
+        }
+    }
+
+    /// Tells whether a model and its factor cost so much more than a gradient that it pays to keep them.
+    pub(crate) fn is_worth_keeping(&self) -> bool {
+        !self.alike.is_empty()
+    }
+
     /// Cuts the groups into chunks of about equal work.
     fn cut_chunks(&mut self, problem: &Problem<'_>) {
         let rows = |group: &Group| -> usize {
@@ -408,10 +436,12 @@ impl Structure {
                 .sum()
         };
         let weights: Vec<usize> = self.groups.iter().map(rows).collect();
-        self.chunks = cut(&weights, MAX_CHUNKS);
+        let has_local = self.signatures.iter().any(|signature| signature.local.is_some());
+        self.chunks = cut(&weights, if has_local { MAX_LOCAL_CHUNKS } else { MAX_CHUNKS });
         let weights: Vec<usize> =
             self.groups.iter().map(|group| group.columns.len() * group.columns.len() + 100).collect();
-        let n_sums = (MAX_PARTIAL_SUM / self.n_entries().max(1)).clamp(2, MAX_CHUNKS / 2);
+        let room = if self.sparse.is_some() { MAX_SPARSE_PARTIAL_SUM } else { MAX_PARTIAL_SUM };
+        let n_sums = (room / self.n_entries().max(1)).clamp(2, MAX_CHUNKS / 2);
         if self.groups.iter().any(|group| group.eliminated.is_some()) {
             self.schur_chunks = cut(&weights, n_sums);
         }

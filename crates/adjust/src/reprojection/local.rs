@@ -5,6 +5,11 @@
 //! each other are `Σ w wᵀ`, once for both axes and for all views of a camera, which each cell of the
 //! grid sums as a product of its two directions. Knots by pose are summed for each view alone.
 
+mod gradient;
+mod whole;
+
+use std::ops::Range;
+
 use boresight_camera::{CameraModel, LocalLinear, LocalSupport, ModelVisitor};
 use boresight_geometry::{Scalar, Vector3};
 use boresight_solver::gram::Previous;
@@ -15,6 +20,7 @@ use boresight_solver::{
     expand_composite,
 };
 
+use self::gradient::SumGradient;
 use super::{BLOCK, Context, MAX_SHAPE, Reprojection, Weights, load, n_row_columns};
 use crate::options::Loss;
 
@@ -133,47 +139,6 @@ impl Reprojection {
         let n_links = self.blocks.len() - 1 - usize::from(self.n_shape > 0) - 1;
         Some(Grid { support, n_shape: self.n_shape, n_links })
     }
-
-    /// Does what [`Term::linearize`](boresight_solver::Term::linearize) asks for, from what the term
-    /// says of its parts.
-    pub(super) fn linearize_whole(
-        &self,
-        term: &dyn LocalTerm,
-        values: Values<'_>,
-        gram: &mut GramMut<'_>,
-        scratch: &mut Scratch,
-    ) -> Option<f64> {
-        gram.clear();
-        // Any link will do as the one that is told apart; behind the last is only the residual.
-        let n = gram.size() - 7;
-        let support: Vec<u32> = (0..n as u32).collect();
-        let mut sums = vec![0.0; term.sum_count()];
-        let (mut own, mut gradient, mut coupling) = ([[0.0; 6]; 6], [0.0; 6], vec![0.0; 6 * n]);
-        let mut eliminated = EliminatedSums {
-            block: self.chain.blocks().last(),
-            own: &mut own,
-            gradient: &mut gradient,
-            coupling: &mut coupling,
-        };
-        let accumulated = term.accumulate(values, &support, &mut sums, &mut eliminated, scratch);
-        let Accumulated::Cost(cost) = accumulated else { return None };
-        let pairs = term.entries();
-        let mut entries = vec![0.0; pairs.len()];
-        term.expand(values, &sums, &mut entries);
-        let column = |column: u32| if column as usize == n { n + 6 } else { column as usize };
-        for ([a, b], entry) in pairs.into_iter().zip(entries) {
-            gram.add(column(a), column(b), entry);
-        }
-        for (k, own) in own.iter().enumerate() {
-            own.iter().enumerate().skip(k).for_each(|(l, entry)| gram.add(n + k, n + l, *entry));
-            gram.add(n + k, n + 6, gradient[k]);
-            for (a, entry) in coupling[k * n..(k + 1) * n].iter().enumerate() {
-                gram.add(a, n + k, *entry);
-            }
-        }
-        gram.add(n + 6, n + 6, self.layout.squares(scratch.gram.sums()));
-        Some(cost)
-    }
 }
 
 impl LocalTerm for Reprojection {
@@ -243,6 +208,18 @@ impl LocalTerm for Reprojection {
             let product = products[a * n_offsets + offset_index(side, down, across)];
             squares.iter().for_each(|square| write(square * product));
         });
+    }
+
+    fn alike(&self) -> Range<usize> {
+        self.grid().map_or(0..0, |grid| CORE..grid.n_params())
+    }
+
+    fn gradient(&self, values: Values<'_>, gradient: &mut [f64], scratch: &mut Scratch) -> Option<f64> {
+        let grid = self.grid()?;
+        if self.n_rows == 0 {
+            return Some(0.0);
+        }
+        self.model.visit(SumGradient { term: self, values, grid, gradient, scratch })
     }
 
     fn accumulate(
