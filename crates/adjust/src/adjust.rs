@@ -8,6 +8,7 @@ use crate::options::{AdjustOptions, Loss, Observer, Rejection};
 use crate::rejection::Lengths;
 use crate::report::{Outcome, report};
 use crate::rig_problem::RigProblem;
+use crate::stand_in::nearer_seed;
 use crate::suspects::{leave_out, suspects};
 
 /// The robust pass stops early: it only has to come near enough to tell outliers.
@@ -21,6 +22,9 @@ const MAX_SUSPECT_ROUNDS: usize = 3;
 
 /// Passes after which the set of outliers is taken as it is; it settles in two or three.
 const MAX_PASSES: usize = 12;
+
+/// The first damping where poses are nearly right: the surface of a lens is then all but linear.
+const NEARER_DAMPING: f64 = 1e-8;
 
 /// Returns the calibration that explains `dataset` best, starting from `seed`.
 ///
@@ -59,11 +63,23 @@ pub struct Optimum {
 
 /// Solves once, with all observations and without covariance: the least that an adjustment can be.
 pub fn optimize(dataset: &Dataset, seed: &Scene, options: &AdjustOptions) -> Result<Optimum, Error> {
+    let nearer = nearer_seed(dataset, seed, options);
+    let seed = nearer.as_ref().map_or(seed, |nearer| &nearer.scene);
     let mut rig = RigProblem::new(dataset, seed, options)?;
     rig.views.iter_mut().for_each(|(_, term)| term.set_loss(options.loss));
     let problem = rig.problem()?;
-    let solve_options = solve_options(options, options.decrease_below, true);
-    let solution = boresight_solver::solve(&problem, &solve_options).map_err(|error| named(error, &rig))?;
+    let mut solve_options = solve_options(options, options.decrease_below, true);
+    if nearer.is_some() {
+        solve_options.first_damping = NEARER_DAMPING;
+    }
+    let mut solution =
+        boresight_solver::solve(&problem, &solve_options).map_err(|error| named(error, &rig))?;
+    if let Some(nearer) = &nearer {
+        solution.counters.iterations += nearer.counters.iterations;
+        solution.counters.evaluations += nearer.counters.evaluations;
+        solution.counters.factorizations += nearer.counters.factorizations;
+        solution.counters.rejected_steps += nearer.counters.rejected_steps;
+    }
     let scene = rig.scene(dataset, seed, solution.values(&problem));
     Ok(Optimum { scene, solution })
 }

@@ -21,6 +21,7 @@ mod rig_problem;
 mod robot;
 mod robot_noise;
 mod sighted_point;
+mod stand_in;
 mod suspects;
 #[cfg(test)]
 mod test_numbers;

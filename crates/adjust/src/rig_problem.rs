@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use boresight_camera::{LocalSupport, Model, ParamGroup};
-use boresight_data::{CameraId, Dataset, FrameId, Id, IdVec, Observation, Scene, Shape, TargetId};
+use boresight_camera::{Camera, LocalSupport, Model, ParamGroup};
+use boresight_data::{CameraId, Dataset, FrameId, Id, IdVec, Observation, Rig, Scene, Shape, TargetId};
 use boresight_geometry::Pose;
 use boresight_geometry::nalgebra::DMatrix;
 use boresight_solver::{
@@ -401,6 +401,23 @@ fn default_rows(groups: &[ParamGroup]) -> Vec<(usize, f64, f64)> {
         _ => None,
     };
     groups.iter().enumerate().filter_map(|(i, group)| Some((i, 0.0, 1.0 / sigma(group)?))).collect()
+}
+
+/// Returns what is believed of a lens with local support before a problem is there; mild beliefs where
+/// nothing is asked for.
+pub(crate) fn spline_regularization(
+    dataset: &Dataset,
+    rig: &Rig,
+    camera: &Camera,
+    regularization: Regularization,
+) -> Vec<Belief> {
+    let n_rows = dataset.views.iter().map(|view| 2 * view.observations.len()).sum();
+    match camera.model.local_support() {
+        Some(grid) if regularization == Regularization::Mrcal22 => {
+            mrcal_spline_beliefs(&grid, n_rows, rig.cameras.iter().flatten().count(), camera.image_size)
+        }
+        _ => spline_beliefs(camera.params.len()),
+    }
 }
 
 /// Returns mild beliefs about the knots of a spline, many of which may be seen by nothing.

@@ -126,6 +126,11 @@ fn a_splined_lens_leads_to_the_stored_optimum() {
     // By default, the last step is taken at a thousandth of a sigma.
     let options = AdjustOptions { decrease_below: AdjustOptions::default().decrease_below, ..options };
     let found = optimize(&problem.dataset, &problem.seed, &options).unwrap();
+    // Half of them are of a stand-in, and most of the others of gradients alone.
+    assert!(found.solution.counters.evaluations <= 25, "{:?}", found.solution.counters);
+    let on_two = optimize(&problem.dataset, &problem.seed, &AdjustOptions { threads: 2, ..options.clone() });
+    let on_one = optimize(&problem.dataset, &problem.seed, &AdjustOptions { threads: 1, ..options });
+    assert_eq!(on_two.unwrap().solution.values, on_one.unwrap().solution.values);
     let cost = found.solution.cost;
     println!("by default: cost {cost:.12}, {:?}", found.solution.counters);
     assert!(cost <= solution.number("cost") * (1.0 + 1e-9), "{cost}");
