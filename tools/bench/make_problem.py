@@ -2,7 +2,7 @@
 """Makes calibration problems for the benchmark, and turns them into the Ceres program's binary.
 
     make_problem.py convert PROBLEM.npz OUT.bin
-    make_problem.py make OUT.npz --cameras 4 --frames 500 [--board 10] [--seed 1]
+    make_problem.py make OUT.npz --cameras 4 --frames 500 [--board 10] [--seed 1] [--knots 30 18 120]
 
 The npz keys are those of the mrcal conformance problems (see README.md); the binary is described at
 the head of ceres/ba.cpp. Needs numpy only.
@@ -56,8 +56,12 @@ def project(points, intrinsics):
     return np.stack([u, v], axis=-1)
 
 
-def make(n_cameras, n_frames, n_corners, seed):
-    """Returns a random problem: a row of cameras 0.3 m apart, and a board that wanders before them."""
+def make(n_cameras, n_frames, n_corners, seed, knots):
+    """Returns a random problem: a row of cameras 0.3 m apart, and a board that wanders before them.
+
+    With `knots` (columns, rows, degrees across) a spline of order 3 is to be found instead of the lens that
+    made the pixels, from a flat surface.
+    """
     rng = np.random.default_rng(seed)
     width, height, spacing = 4000, 2200, 0.1
     warp = np.array([0.002, -0.003])
@@ -104,8 +108,13 @@ def make(n_cameras, n_frames, n_corners, seed):
     frames = np.array(frames)
     seed_intrinsics = np.zeros_like(intrinsics)
     seed_intrinsics[:, :4] = [1700, 1700, (width - 1) / 2, (height - 1) / 2]
+    lens = "LENSMODEL_OPENCV8"
+    if knots:
+        columns, rows, degrees = knots
+        lens = f"LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx={columns}_Ny={rows}_fov_x_deg={degrees}"
+        seed_intrinsics = np.pad(seed_intrinsics[:, :4], ((0, 0), (0, 2 * columns * rows)))
     return {
-        "lensmodel": "LENSMODEL_OPENCV8",
+        "lensmodel": lens,
         "lensmodel_true": "LENSMODEL_OPENCV8",
         "imagersizes": np.tile(np.array([width, height], np.int32), (n_cameras, 1)),
         "spacing": spacing,
@@ -166,12 +175,13 @@ def main():
     command.add_argument("--frames", type=int, required=True)
     command.add_argument("--board", type=int, default=10, help="inner corners along each side")
     command.add_argument("--seed", type=int, default=1)
+    command.add_argument("--knots", type=int, nargs=3, help="columns, rows, degrees: a splined lens to be found")
     args = parser.parse_args()
     if args.command == "convert":
         with np.load(args.problem) as problem:
             convert(problem, args.out)
     else:
-        np.savez_compressed(args.out, **make(args.cameras, args.frames, args.board, args.seed))
+        np.savez_compressed(args.out, **make(args.cameras, args.frames, args.board, args.seed, args.knots))
 
 
 if __name__ == "__main__":

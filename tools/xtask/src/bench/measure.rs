@@ -7,7 +7,7 @@ use crate::bench::problems::Problem;
 use crate::bench::solvers::Solver;
 use crate::process::{output, shown};
 
-/// Every process solves its problem as often and reports its median, whoever it is.
+/// Every process solves its problem as often and reports its median, whoever it is; long ones once.
 pub(crate) const REPEAT: usize = 3;
 
 /// Where Boresight is measured alone, against the machine, each process solves as often.
@@ -55,7 +55,7 @@ pub(crate) fn measure(solvers: &[Solver], problems: &[Problem], rounds: usize) -
             eprintln!("bench: round {} of {rounds}, {}", round + 1, problem.label);
             for (solver, (_, answers)) in solvers.iter().zip(&mut measured.solvers) {
                 if solver.can_solve(problem) && (round == 0 || solver.is_interleaved) {
-                    answers.push(solve(solver, problem, REPEAT, 1, round == 0)?);
+                    answers.push(solve(solver, problem, problem.repeat, 1, round == 0)?);
                 }
             }
             let ours = solvers.first().context("there is no solver")?;

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 
+use crate::bench::measure::REPEAT;
 use crate::process::{command, reference_environment, root, run, succeeds, target};
 
 /// Where the conformance data are, when they are beside the project.
@@ -16,6 +17,9 @@ const PROBLEMS: &[(&str, usize, usize)] = &[("1x50", 1, 50), ("2x200", 2, 200), 
 /// data. It has 14x14 boards; the core is held.
 const SPLINED: (&str, &str, &str) = ("1x200 splined", "c1_f200_b14_splined", "splined3:30x18:120deg");
 
+/// The same for a pair of cameras, which is made: label, cameras, frames, and mrcal's columns, rows and degrees.
+const SPLINED_PAIR: (&str, usize, usize, [&str; 3]) = ("2x200 splined", 2, 200, ["30", "18", "120"]);
+
 /// A problem on disk.
 #[derive(Clone, Debug)]
 pub(crate) struct Problem {
@@ -27,7 +31,12 @@ pub(crate) struct Problem {
     pub bin: Option<PathBuf>,
     /// The lens model, as we call it.
     pub lens: &'static str,
+    /// How often each process solves it, whoever it is.
+    pub repeat: usize,
 }
+
+/// Problems that a peer takes a minute for are solved once.
+const REPEAT_LONG: usize = 1;
 
 /// Finds the problems in `folder` or in the conformance data, or makes such as there are none.
 pub(crate) fn prepare(folder: Option<PathBuf>) -> anyhow::Result<Vec<Problem>> {
@@ -52,15 +61,20 @@ pub(crate) fn prepare(folder: Option<PathBuf>) -> anyhow::Result<Vec<Problem>> {
         };
         let bin = work.join(format!("{name}.bin"));
         run(make_problem(&python).arg("convert").arg(&npz).arg(&bin))?;
-        problems.push(Problem { label, n_cameras, npz, bin: Some(bin), lens: "opencv8" });
+        problems.push(Problem { label, n_cameras, npz, bin: Some(bin), lens: "opencv8", repeat: REPEAT });
     }
     let (label, name, lens) = SPLINED;
     let npz = folder.as_deref().unwrap_or(&beside).join(format!("{name}.npz"));
     if npz.is_file() {
-        problems.push(Problem { label, n_cameras: 1, npz, bin: None, lens });
+        problems.push(Problem { label, n_cameras: 1, npz, bin: None, lens, repeat: REPEAT });
     } else {
         eprintln!("bench: {label} is left out, {} does not exist", npz.display());
     }
+    let (label, n_cameras, n_frames, knots) = SPLINED_PAIR;
+    let npz = work.join("made_splined_pair.npz");
+    let counts = ["--cameras", &n_cameras.to_string(), "--frames", &n_frames.to_string(), "--board", "14"];
+    run(make_problem(&python).arg("make").arg(&npz).args(counts).arg("--knots").args(knots))?;
+    problems.push(Problem { label, n_cameras, npz, bin: None, lens, repeat: REPEAT_LONG });
     Ok(problems)
 }
 

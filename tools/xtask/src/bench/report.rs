@@ -81,7 +81,7 @@ fn conditions(rounds: usize, load: &str, versions: &[String]) -> String {
     let cores = std::thread::available_parallelism().map_or(0, |n| n.get());
     format!(
         "{model}, {cores} cores, load average {load} before the start. Rounds: {rounds}, interleaved; each process solves {REPEAT} times\n\
-         from the stored seed and reports its median; the first table shows medians over the rounds. The others\n\
+         (a splined pair once) from the stored seed and reports its median; the first table shows medians over the rounds. The others\n\
          hold Boresight against the machine: the least times of {REPEAT_ALONE} solves a round, and the machine's best peak,\n\
          since neighbours on the host slow the two down unequally. One thread unless said otherwise. {}.\n",
         versions.join(", ")
