@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use boresight::{calibration_to_mcap, export, read_calibration, read_observations, write_files};
+use boresight::{OutputFile, calibration_to_mcap, export, read_calibration, read_observations, write_files};
 
 use crate::arguments::ExportArguments;
 use crate::failure::Failure;
@@ -20,7 +20,8 @@ pub(crate) fn run(arguments: &ExportArguments) -> Result<ExitCode, Failure> {
         arguments.result.with_file_name(OBSERVATIONS)
     };
     let files = if arguments.to == "mcap" && beside.is_file() {
-        calibration_to_mcap(&calibration, &read_observations(&beside)?)?
+        let bytes = calibration_to_mcap(&calibration, &read_observations(&beside)?)?;
+        vec![OutputFile { name: "calibration.mcap".to_owned(), bytes }]
     } else {
         export(&calibration, &arguments.to)?
     };

@@ -44,14 +44,15 @@ fn distortion_of(model: &Model, params: &[f64]) -> Option<(&'static str, Vec<f64
 
 /// Returns the file of a calibration, without what was detected.
 pub(crate) fn export(calibration: &Calibration) -> Result<Vec<OutputFile>, Error> {
-    calibration_to_mcap(calibration, &[])
+    let bytes = calibration_to_mcap(calibration, &[])?;
+    Ok(vec![OutputFile { name: FILE.to_owned(), bytes }])
 }
 
-/// Returns the file of a calibration, with the corners it was made from, which may be none.
+/// Returns the bytes of a calibration as MCAP, with the corners it was made from, which may be none.
 pub fn calibration_to_mcap(
     calibration: &Calibration,
     observations: &[ObservationRow],
-) -> Result<Vec<OutputFile>, Error> {
+) -> Result<Vec<u8>, Error> {
     let mut writer = RecordingWriter::new(Path::new(FILE), Vec::new(), Packing::Zstd)?;
     let mut write = |topic: &str, schema: &str, text: &Value, time_ns: i64, message: &Value| {
         let (schema_text, json) = (text.to_string(), message.to_string());
@@ -102,8 +103,7 @@ pub fn calibration_to_mcap(
         let topic = format!("/{}/annotations", row.camera);
         write(&topic, "foxglove.ImageAnnotations", &schema, time, &annotations_message(time, rows))?;
     }
-    let bytes = writer.finish()?;
-    Ok(vec![OutputFile { name: FILE.to_owned(), bytes }])
+    writer.finish()
 }
 
 fn time(time_ns: i64) -> Value {
@@ -275,10 +275,9 @@ mod tests {
             reason: reason.map(str::to_owned),
         };
         let rows = [row(0, None), row(0, Some("outlier")), row(1, None)];
-        let files = calibration_to_mcap(&calibration, &rows).unwrap();
-        assert_eq!(files, calibration_to_mcap(&calibration, &rows).unwrap());
-        let contents =
-            read_recording_bytes(Cursor::new(&files[0].bytes), &mut |_| ControlFlow::Continue(())).unwrap();
+        let bytes = calibration_to_mcap(&calibration, &rows).unwrap();
+        assert_eq!(bytes, calibration_to_mcap(&calibration, &rows).unwrap());
+        let contents = read_recording_bytes(Cursor::new(&bytes), &mut |_| ControlFlow::Continue(())).unwrap();
         let count =
             |name: &str| contents.topics.iter().find(|topic| topic.name == name).map(|topic| topic.messages);
         assert_eq!(

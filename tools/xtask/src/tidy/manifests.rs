@@ -14,10 +14,6 @@ pub(super) fn check(tree: &Tree) -> Vec<Finding> {
                 continue;
             }
         };
-        // The fuzzers need another compiler, and are a workspace of their own.
-        if manifest.contains_key("workspace") {
-            continue;
-        }
         let from_workspace = |value: Option<&toml::Value>| {
             value.and_then(|value| value.get("workspace")).and_then(|value| value.as_bool()) == Some(true)
         };

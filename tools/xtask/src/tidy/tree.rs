@@ -8,8 +8,8 @@ use anyhow::Context as _;
 
 use super::rust_text::RustText;
 
-/// Folders that hold nothing of ours.
-const SKIPPED: &[&str] = &[".git", "target", "out", "__pycache__"];
+/// Folders that hold nothing of ours, and the fuzzers, which are a workspace of their own for another compiler.
+const SKIPPED: &[&str] = &[".git", "target", "out", "__pycache__", "fuzz"];
 
 /// Endings of the files whose text some rule reads.
 const TEXT: &[&str] = &["rs", "md", "toml", "py", "cpp", "h", "html", "css", "js"];
