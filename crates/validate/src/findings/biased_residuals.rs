@@ -54,9 +54,10 @@ impl Diagnostic for BiasedResiduals {
     const EXPLANATION: &'static str = "\
 What it means: in parts of the image the residuals point the same way in all
 views. The image is divided into cells; the number is the root mean square of
-the residual that views have in common in each, less what chance would leave as
-the differences between views tell it, relative to the scatter of the residuals. Rejected corners count too, for a lens that
-does not fit rejects the corners that would show it.
+the residual that views have in common in each, less what chance would leave
+(as the differences between views tell), relative to the scatter of the
+residuals. Rejected corners count too, for a lens that does not fit rejects the
+corners that would show it.
 
 Why it matters: noise has no direction. What is common to all views is an error
 of the lens model, or of the target's shape: the lens of the calibration is off
