@@ -142,6 +142,9 @@ fn select(camera: &str, trials: Vec<ModelTrial>) -> Result<LensSelection, NoLens
 /// A difference of the mean square per view is one from so many of its standard errors on.
 const SIGNIFICANT: f64 = 2.0;
 
+/// Who predicts worse by more than this share of the error is worse, however few views show it.
+const NOTABLE_SHARE: f64 = 0.03;
+
 /// Who predicts better by less than this share of the error is not worth more parameters.
 const NEGLIGIBLE_SHARE: f64 = 0.005;
 
@@ -150,8 +153,8 @@ fn simplest(trials: &[ModelTrial], among: &[usize]) -> Option<usize> {
     let best = *among.iter().min_by(|a, b| trials[**a].held_out_px.total_cmp(&trials[**b].held_out_px))?;
     let is_as_good = |idx: usize| {
         let (mean, error) = excess(&trials[idx].views, &trials[best].views);
-        mean <= SIGNIFICANT * error
-            || trials[idx].held_out_px <= (1.0 + NEGLIGIBLE_SHARE) * trials[best].held_out_px
+        let more = trials[idx].held_out_px / trials[best].held_out_px - 1.0;
+        more <= NEGLIGIBLE_SHARE || (more <= NOTABLE_SHARE && mean <= SIGNIFICANT * error)
     };
     among.iter().copied().filter(|&idx| idx == best || is_as_good(idx)).min_by(|&a, &b| {
         let n_params = |idx: usize| trials[idx].model.param_count();
