@@ -198,7 +198,7 @@ mod tests {
             dictionary: Dictionary::APRILTAG_36H11,
         };
         assert_eq!(geometry("aprilgrid:6x5:88mm:0.3"), grid);
-        assert_eq!(geometry("aprilgrid:6x5:8.8cm:0.3:t36h11"), grid);
+        assert_eq!(geometry("aprilgrid:6x5:88mm:0.3:t36h11"), grid);
         let Geometry::AprilGrid { spacing, .. } = geometry("aprilgrid:6x5:88mm:26.4mm") else {
             panic!("a grid")
         };
