@@ -4,7 +4,6 @@
 //! camera. What is damaged is left out and told.
 
 mod cdr;
-mod lz4_frame;
 mod message;
 mod names;
 mod protobuf;

@@ -1,45 +1,29 @@
 //! The records of an MCAP file, one at a time: whatever can be read of it, and where it is damaged.
 //!
-//! Memory does not grow with the file: a chunk is unpacked while it is read, and a message that nobody wants is skipped.
-//! Damage costs what it hit: a spoilt chunk ends at its own end, and where the length of a record cannot be believed,
-//! reading goes on at the next chunk that the file's own summary names.
-//! The layout is that of <https://mcap.dev/spec>.
+//! Memory does not grow with the file: a chunk is unpacked while it is read. Damage costs what it hit: a spoilt chunk
+//! ends at its own end, and where the length of a record cannot be believed, reading goes on at the next chunk that the
+//! file's own summary names. The layout is that of <https://mcap.dev/spec>.
 
 use std::fmt;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::ops::ControlFlow;
 
-use super::lz4_frame::Lz4Reader;
+use mcap::records::{Record, op};
+use mcap::sans_io::{
+    LinearReadEvent, LinearReader, LinearReaderOptions, SummaryReadEvent, SummaryReader, SummaryReaderOptions,
+};
+use mcap::{McapError, Summary};
 
 /// The first and the last bytes of a file.
-pub(crate) const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
-/// The largest message that is read, in bytes.
-pub(crate) const MESSAGE_LIMIT: u64 = 1 << 28;
-/// The largest record that describes a schema or a channel, in bytes.
-const DESCRIPTION_LIMIT: u64 = 1 << 24;
+pub(crate) const MAGIC: [u8; 8] = *mcap::MAGIC;
+/// The largest record that is read, in bytes; a message is one.
+const RECORD_LIMIT: usize = 1 << 28;
 /// The length of a record's kind and length.
 const PREFIX: u64 = 9;
-/// The length of what stands before the data of a message.
-const MESSAGE_HEADER: u64 = 22;
-/// The bytes at the end of a file from its footer on.
-const TAIL: u64 = PREFIX + 20 + MAGIC.len() as u64;
-
-/// The kinds of records.
-pub(crate) mod kind {
-    pub(crate) const HEADER: u8 = 0x01;
-    pub(crate) const FOOTER: u8 = 0x02;
-    pub(crate) const SCHEMA: u8 = 0x03;
-    pub(crate) const CHANNEL: u8 = 0x04;
-    pub(crate) const MESSAGE: u8 = 0x05;
-    pub(crate) const CHUNK: u8 = 0x06;
-    pub(crate) const MESSAGE_INDEX: u8 = 0x07;
-    pub(crate) const CHUNK_INDEX: u8 = 0x08;
-    pub(crate) const STATISTICS: u8 = 0x0b;
-    pub(crate) const DATA_END: u8 = 0x0f;
-    /// Kinds from here to 0x7f are kept for later versions, and none was ever made.
-    pub(crate) const RESERVED: u8 = 0x10;
-    pub(crate) const PRIVATE: u8 = 0x80;
-}
+/// Kinds of records from here to [`PRIVATE`] are kept for later versions, and none was ever made.
+const RESERVED: u8 = 0x10;
+/// From here on, kinds are those of applications.
+const PRIVATE: u8 = 0x80;
 
 /// What a file says of the messages of a channel.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -69,11 +53,11 @@ pub(crate) enum Damage {
     CutOff { at: u64 },
     /// A record cannot be one: its kind or its length is impossible.
     NoRecord { at: u64, skipped: u64 },
-    /// A chunk cannot be unpacked to its end.
-    Chunk { at: u64, why: String },
+    /// What begins here cannot be read to its end.
+    Spoilt { at: u64, why: String },
     /// The bytes of a chunk are not those that were written.
     Checksum { at: u64 },
-    /// A message is larger than any that is read.
+    /// A record is larger than any that is read.
     TooLarge { at: u64, bytes: u64 },
 }
 
@@ -84,12 +68,14 @@ impl fmt::Display for Damage {
             Damage::NoRecord { at, skipped } => {
                 write!(f, "byte {at} begins no record; {skipped} bytes were skipped")
             }
-            Damage::Chunk { at, why } => write!(f, "the chunk at byte {at} cannot be read to its end: {why}"),
+            Damage::Spoilt { at, why } => {
+                write!(f, "the record at byte {at} cannot be read to its end: {why}")
+            }
             Damage::Checksum { at } => {
                 write!(f, "the chunk at byte {at} is not as it was written: its checksum differs")
             }
             Damage::TooLarge { at, bytes } => {
-                write!(f, "the message at byte {at} has {bytes} bytes; at most {MESSAGE_LIMIT} are read")
+                write!(f, "a record at byte {at} has {bytes} bytes; at most {RECORD_LIMIT} are read")
             }
         }
     }
@@ -99,343 +85,166 @@ impl fmt::Display for Damage {
 ///
 /// An error is one of the system's. The file must begin with [`MAGIC`].
 pub(crate) fn read_records<R: Read + Seek>(file: R, listener: &mut dyn Listener) -> io::Result<Vec<Damage>> {
-    let mut reader = Reader { file: BufReader::with_capacity(1 << 16, file), damages: Vec::new() };
-    let end = reader.file.seek(SeekFrom::End(0))?;
-    let chunks = reader.read_summary(end, listener)?;
+    let mut file = BufReader::with_capacity(1 << 16, file);
+    let mut damages = Vec::new();
+    let end = file.seek(SeekFrom::End(0))?;
+    let summary = read_summary(&mut file, end)?;
+    let chunks = tell_summary(&summary, listener);
     let mut at = MAGIC.len() as u64;
     loop {
-        reader.file.seek(SeekFrom::Start(at))?;
-        let Some((kind, length)) = reader.prefix(at, end)? else { break };
-        let begin = at + PREFIX;
-        let fits = begin.checked_add(length).is_some_and(|next| next <= end);
-        if is_no_kind(kind) || !(fits || kind == kind::CHUNK) {
-            // Where no chunk is known to follow, a record that is longer than the file is one that was cut off.
-            match chunks.iter().find(|chunk| **chunk > at) {
-                Some(&next) => {
-                    reader.damages.push(Damage::NoRecord { at, skipped: next - at });
-                    at = next;
-                    continue;
-                }
-                None if fits || is_no_kind(kind) => {
-                    reader.damages.push(Damage::NoRecord { at, skipped: end - at });
-                }
-                None => reader.damages.push(Damage::CutOff { at: end }),
-            }
-            break;
-        }
-        let available = length.min(end - begin);
-        let flow = match kind {
-            kind::FOOTER | kind::DATA_END => break,
-            kind::CHUNK => reader.chunk(at, available, listener)?,
-            _ => {
-                let mut record = (&mut reader.file).take(available);
-                match one_record(&mut record, kind, length, at, listener)? {
-                    Ok(flow) => flow,
-                    Err(damage) => {
-                        reader.damages.push(damage);
-                        ControlFlow::Continue(())
-                    }
-                }
-            }
-        };
-        if flow.is_break() {
-            break;
-        }
-        if !fits {
-            // A chunk that was cut off, unless a later one shows that only its length is wrong.
-            match chunks.iter().find(|chunk| **chunk > at) {
-                Some(&next) => {
-                    at = next;
-                    continue;
-                }
-                None => reader.damages.push(Damage::CutOff { at: end }),
-            }
-            break;
-        }
-        at = begin + length;
-    }
-    Ok(reader.damages)
-}
-
-struct Reader<R> {
-    file: BufReader<R>,
-    damages: Vec<Damage>,
-}
-
-impl<R: Read + Seek> Reader<R> {
-    /// Reads the kind and the length of the record at a byte; `None` at the end of the file, which is noted.
-    fn prefix(&mut self, at: u64, end: u64) -> io::Result<Option<(u8, u64)>> {
         if end.saturating_sub(at) < PREFIX {
-            self.damages.push(Damage::CutOff { at: end });
-            return Ok(None);
+            damages.push(Damage::CutOff { at: end });
+            break;
         }
-        let mut bytes = [0; PREFIX as usize];
-        self.file.read_exact(&mut bytes)?;
-        Ok(Some(split_prefix(bytes)))
-    }
-
-    /// Reads the file's summary, if it has one: schemas and channels are told, and where chunks begin is returned.
-    fn read_summary(&mut self, end: u64, listener: &mut dyn Listener) -> io::Result<Vec<u64>> {
-        let mut chunks = Vec::new();
-        if end < MAGIC.len() as u64 + TAIL {
-            return Ok(chunks);
+        file.seek(SeekFrom::Start(at))?;
+        let mut prefix = [0; PREFIX as usize];
+        file.read_exact(&mut prefix)?;
+        let [kind, length @ ..] = prefix;
+        let length = u64::from_le_bytes(length);
+        if matches!(kind, op::FOOTER | op::DATA_END) {
+            break;
         }
-        let footer = end - TAIL;
-        self.file.seek(SeekFrom::Start(footer))?;
-        let mut tail = [0; TAIL as usize];
-        self.file.read_exact(&mut tail)?;
-        let mut fields = Fields(&tail[PREFIX as usize..]);
-        let summary = fields.u64().unwrap_or(0);
-        if tail[0] != kind::FOOTER || !tail.ends_with(&MAGIC) || summary == 0 || summary >= footer {
-            return Ok(chunks);
-        }
-        let mut at = summary;
-        while at + PREFIX <= footer {
-            self.file.seek(SeekFrom::Start(at))?;
-            let mut prefix = [0; PREFIX as usize];
-            self.file.read_exact(&mut prefix)?;
-            let (kind, length) = split_prefix(prefix);
-            let Some(next) = (at + PREFIX).checked_add(length).filter(|next| *next <= footer) else { break };
-            match kind {
-                kind::SCHEMA | kind::CHANNEL => {
-                    let mut record = (&mut self.file).take(length);
-                    // What is wrong with it is found again where it matters.
-                    let _ = one_record(&mut record, kind, length, at, listener)?;
-                }
-                kind::CHUNK_INDEX if length >= 24 => {
-                    let mut bytes = [0; 24];
-                    self.file.read_exact(&mut bytes)?;
-                    chunks.push(Fields(&bytes[16..]).u64().unwrap_or(0));
-                }
-                _ => {}
+        let next = (at + PREFIX).checked_add(length).filter(|next| *next <= end);
+        if !is_no_kind(kind) && (next.is_some() || kind == op::CHUNK) {
+            file.seek(SeekFrom::Start(at))?;
+            let mut record = (&mut file).take(next.unwrap_or(end) - at);
+            match read_record(&mut record, at, listener)? {
+                Ok(ControlFlow::Continue(())) => {}
+                Ok(ControlFlow::Break(())) => break,
+                Err(damage) => damages.push(damage),
             }
-            at = next;
         }
-        chunks.sort_unstable();
-        chunks.dedup();
-        Ok(chunks)
-    }
-
-    /// Reads the records of the chunk whose content of `length` bytes comes next; what stops that is noted.
-    fn chunk(&mut self, at: u64, length: u64, listener: &mut dyn Listener) -> io::Result<ControlFlow<()>> {
-        let mut content = (&mut self.file).take(length);
-        let Some(header) = ChunkHeader::read(&mut content)? else {
-            let why = "its header is not one".to_owned();
-            self.damages.push(Damage::Chunk { at, why });
-            return Ok(ControlFlow::Continue(()));
-        };
-        let packed = content.take(header.packed_bytes);
-        let unpacked: Box<dyn Read + '_> = match header.compression.as_str() {
-            "" => Box::new(packed),
-            "zstd" => match zstd::stream::read::Decoder::with_buffer(io::BufReader::new(packed)) {
-                Ok(decoder) => Box::new(decoder),
-                Err(error) => {
-                    self.damages.push(Damage::Chunk { at, why: error.to_string() });
-                    return Ok(ControlFlow::Continue(()));
+        let is_record = !is_no_kind(kind) && next.is_some();
+        let later = || chunks.iter().copied().find(|chunk| *chunk > at);
+        at = match (next, later()) {
+            (Some(next), _) if is_record => next,
+            // Only its length is wrong, as a later chunk shows.
+            (_, Some(chunk)) => {
+                if is_no_kind(kind) || kind != op::CHUNK {
+                    damages.push(Damage::NoRecord { at, skipped: chunk - at });
                 }
-            },
-            "lz4" => Box::new(Lz4Reader::new(packed)),
-            other => {
-                let why = format!("it is packed by `{other}`; zstd and lz4 are read");
-                self.damages.push(Damage::Chunk { at, why });
-                return Ok(ControlFlow::Continue(()));
+                chunk
+            }
+            // Where no chunk is known to follow, a record that is longer than the file is one that was cut off.
+            (None, None) if !is_no_kind(kind) => {
+                damages.push(Damage::CutOff { at: end });
+                break;
+            }
+            _ => {
+                damages.push(Damage::NoRecord { at, skipped: end - at });
+                break;
             }
         };
-        let mut records =
-            Hashed { source: unpacked.take(header.bytes), hash: crc32fast::Hasher::new(), bytes: 0 };
-        let flow = match records_of_chunk(&mut records, &header, at, listener, &mut self.damages) {
-            Ok(flow) => flow,
-            Err(damage) => {
-                self.damages.push(damage);
-                return Ok(ControlFlow::Continue(()));
-            }
-        };
-        let is_whole = records.bytes == header.bytes;
-        if header.checksum != 0 && is_whole && records.hash.finalize() != header.checksum {
-            self.damages.push(Damage::Checksum { at });
-        }
-        Ok(flow)
     }
+    Ok(damages)
 }
 
-/// Reads the records in a chunk until nothing more is wanted or something fails; messages that are too large are noted.
-fn records_of_chunk(
-    records: &mut Hashed<impl Read>,
-    header: &ChunkHeader,
+/// Reads the file's summary; `None` where it has none that can be read.
+fn read_summary(file: &mut (impl Read + Seek), end: u64) -> io::Result<Option<Summary>> {
+    let options = SummaryReaderOptions::default().with_file_size(end).with_record_length_limit(RECORD_LIMIT);
+    let mut reader = SummaryReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event {
+            Ok(SummaryReadEvent::ReadRequest(n)) => {
+                let n = file.read(reader.insert(n))?;
+                reader.notify_read(n);
+            }
+            Ok(SummaryReadEvent::SeekRequest(to)) => {
+                // A damaged file may point to before its beginning.
+                let Ok(place) = file.seek(to) else { return Ok(None) };
+                reader.notify_seeked(place);
+            }
+            // What is wrong with it is found again where it matters.
+            Err(_) => return Ok(None),
+        }
+    }
+    Ok(reader.finish())
+}
+
+/// Tells of the schemas and channels in a summary, and returns where chunks begin.
+fn tell_summary(summary: &Option<Summary>, listener: &mut dyn Listener) -> Vec<u64> {
+    let Some(summary) = summary else { return Vec::new() };
+    let mut schema_ids: Vec<u16> = summary.schemas.keys().copied().collect();
+    schema_ids.sort_unstable();
+    for id in schema_ids {
+        listener.schema(id, summary.schemas[&id].name.clone());
+    }
+    let mut channel_ids: Vec<u16> = summary.channels.keys().copied().collect();
+    channel_ids.sort_unstable();
+    for id in channel_ids {
+        let channel = &summary.channels[&id];
+        listener.channel(ChannelRecord {
+            id,
+            schema_id: channel.schema.as_ref().map_or(0, |schema| schema.id),
+            topic: channel.topic.clone(),
+            message_encoding: channel.message_encoding.clone(),
+        });
+    }
+    let mut chunks: Vec<u64> = summary.chunk_indexes.iter().map(|chunk| chunk.chunk_start_offset).collect();
+    chunks.sort_unstable();
+    chunks.dedup();
+    chunks
+}
+
+/// Reads one record of the file, and of a chunk the records in it, until nothing more is wanted or something fails.
+fn read_record(
+    source: &mut impl Read,
     at: u64,
     listener: &mut dyn Listener,
-    too_large: &mut Vec<Damage>,
-) -> Result<ControlFlow<()>, Damage> {
-    let broken = |why: String| Damage::Chunk { at, why };
-    let failed = |error: io::Error| broken(error.to_string());
-    while records.bytes < header.bytes {
-        let mut prefix = [0; PREFIX as usize];
-        records.read_exact(&mut prefix).map_err(failed)?;
-        let (kind, length) = split_prefix(prefix);
-        if is_no_kind(kind) {
-            return Err(broken(format!("there is no record of kind {kind}")));
+) -> io::Result<Result<ControlFlow<()>, Damage>> {
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_validate_chunk_crcs(true)
+        .with_record_length_limit(RECORD_LIMIT);
+    let mut reader = LinearReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event {
+            Ok(LinearReadEvent::ReadRequest(n)) => {
+                let n = source.read(reader.insert(n))?;
+                reader.notify_read(n);
+            }
+            Ok(LinearReadEvent::Record { data, opcode }) => match tell_record(opcode, data, listener) {
+                Ok(ControlFlow::Continue(())) => {}
+                Ok(ControlFlow::Break(())) => return Ok(Ok(ControlFlow::Break(()))),
+                Err(why) => return Ok(Err(Damage::Spoilt { at, why })),
+            },
+            Err(McapError::BadChunkCrc { .. }) => return Ok(Err(Damage::Checksum { at })),
+            Err(McapError::RecordTooLarge { len, .. }) => {
+                return Ok(Err(Damage::TooLarge { at, bytes: len }));
+            }
+            Err(error) => return Ok(Err(Damage::Spoilt { at, why: error.to_string() })),
         }
-        if length > header.bytes - records.bytes {
-            return Err(broken(format!("a record of {length} bytes does not fit into it")));
+    }
+    Ok(Ok(ControlFlow::Continue(())))
+}
+
+/// Tells of a record, or says why it is none.
+fn tell_record(kind: u8, data: &[u8], listener: &mut dyn Listener) -> Result<ControlFlow<()>, String> {
+    if is_no_kind(kind) {
+        return Err(format!("there is no record of kind {kind}"));
+    }
+    // Other kinds are not looked at, as nothing of them is needed.
+    if !matches!(kind, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
+        return Ok(ControlFlow::Continue(()));
+    }
+    match mcap::parse_record(kind, data).map_err(|error| error.to_string())? {
+        Record::Schema { header, .. } => listener.schema(header.id, header.name),
+        Record::Channel(channel) => listener.channel(ChannelRecord {
+            id: channel.id,
+            schema_id: channel.schema_id,
+            topic: channel.topic,
+            message_encoding: channel.message_encoding,
+        }),
+        Record::Message { header, data } if listener.wants(header.channel_id) => {
+            return Ok(listener.message(header.channel_id, header.log_time, data.into_owned()));
         }
-        let next = records.bytes + length;
-        match one_record(&mut records.by_ref().take(length), kind, length, at, listener).map_err(failed)? {
-            Ok(ControlFlow::Break(())) => return Ok(ControlFlow::Break(())),
-            Ok(ControlFlow::Continue(())) => {}
-            Err(damage @ Damage::TooLarge { .. }) => too_large.push(damage),
-            Err(damage) => return Err(damage),
-        }
-        let rest = next - records.bytes;
-        if io::copy(&mut records.by_ref().take(rest), &mut io::sink()).map_err(failed)? != rest {
-            return Err(broken("it ends too early".to_owned()));
-        }
+        _ => {}
     }
     Ok(ControlFlow::Continue(()))
 }
 
 /// Tells whether no record has this kind: zero, or one of those that are kept for later versions.
 fn is_no_kind(kind: u8) -> bool {
-    kind == 0 || (kind::RESERVED..kind::PRIVATE).contains(&kind)
-}
-
-/// Reads a record of a kind that stands in chunks as well as outside of them; what is not wanted is left unread.
-fn one_record(
-    record: &mut impl Read,
-    kind: u8,
-    length: u64,
-    at: u64,
-    listener: &mut dyn Listener,
-) -> io::Result<Result<ControlFlow<()>, Damage>> {
-    let spoilt = |what: &str| Damage::Chunk { at, why: format!("{what} in it is none") };
-    match kind {
-        kind::SCHEMA | kind::CHANNEL => {
-            let mut bytes = Vec::new();
-            record.take(DESCRIPTION_LIMIT).read_to_end(&mut bytes)?;
-            let mut fields = Fields(&bytes);
-            if kind == kind::SCHEMA {
-                let (Some(id), Some(name)) = (fields.u16(), fields.string()) else {
-                    return Ok(Err(spoilt("a schema")));
-                };
-                listener.schema(id, name);
-            } else {
-                let read = (fields.u16(), fields.u16(), fields.string(), fields.string());
-                let (Some(id), Some(schema_id), Some(topic), Some(message_encoding)) = read else {
-                    return Ok(Err(spoilt("a channel")));
-                };
-                listener.channel(ChannelRecord { id, schema_id, topic, message_encoding });
-            }
-        }
-        kind::MESSAGE => {
-            let mut header = [0; MESSAGE_HEADER as usize];
-            let Some(bytes) = length.checked_sub(MESSAGE_HEADER) else {
-                return Ok(Err(spoilt("a message")));
-            };
-            record.read_exact(&mut header)?;
-            let mut fields = Fields(&header);
-            let channel_id = fields.u16().unwrap_or_default();
-            let log_time_ns = Fields(&header[6..]).u64().unwrap_or_default();
-            if !listener.wants(channel_id) {
-                return Ok(Ok(ControlFlow::Continue(())));
-            }
-            if bytes > MESSAGE_LIMIT {
-                return Ok(Err(Damage::TooLarge { at, bytes }));
-            }
-            // What is stated is not believed before it is there: the buffer grows with what is read.
-            let mut data = Vec::with_capacity(usize::try_from(bytes.min(1 << 22)).unwrap_or(0));
-            record.take(bytes).read_to_end(&mut data)?;
-            if data.len() as u64 != bytes {
-                return Err(io::ErrorKind::UnexpectedEof.into());
-            }
-            return Ok(Ok(listener.message(channel_id, log_time_ns, data)));
-        }
-        _ => {}
-    }
-    Ok(Ok(ControlFlow::Continue(())))
-}
-
-/// What stands before the records of a chunk.
-struct ChunkHeader {
-    bytes: u64,
-    checksum: u32,
-    compression: String,
-    packed_bytes: u64,
-}
-
-impl ChunkHeader {
-    /// Reads a header, or finds that it is none.
-    fn read(source: &mut impl Read) -> io::Result<Option<Self>> {
-        let mut start = [0; 32];
-        if source.read_exact(&mut start).is_err() {
-            return Ok(None);
-        }
-        let mut fields = Fields(&start[16..]);
-        let (Some(bytes), Some(checksum), Some(name_bytes)) = (fields.u64(), fields.u32(), fields.u32())
-        else {
-            return Ok(None);
-        };
-        // No name of a compression is long.
-        if name_bytes > 64 {
-            return Ok(None);
-        }
-        let mut rest = vec![0; name_bytes as usize + 8];
-        if source.read_exact(&mut rest).is_err() {
-            return Ok(None);
-        }
-        let (name, packed) = rest.split_at(name_bytes as usize);
-        let (Ok(compression), Some(packed_bytes)) = (String::from_utf8(name.to_vec()), Fields(packed).u64())
-        else {
-            return Ok(None);
-        };
-        Ok(Some(Self { bytes, checksum, compression, packed_bytes }))
-    }
-}
-
-fn split_prefix(prefix: [u8; PREFIX as usize]) -> (u8, u64) {
-    (prefix[0], Fields(&prefix[1..]).u64().unwrap_or_default())
-}
-
-/// Little-endian fields, one after the other.
-struct Fields<'a>(&'a [u8]);
-
-impl Fields<'_> {
-    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let (field, rest) = self.0.split_first_chunk::<N>()?;
-        self.0 = rest;
-        Some(*field)
-    }
-
-    fn u16(&mut self) -> Option<u16> {
-        self.take().map(u16::from_le_bytes)
-    }
-
-    fn u32(&mut self) -> Option<u32> {
-        self.take().map(u32::from_le_bytes)
-    }
-
-    fn u64(&mut self) -> Option<u64> {
-        self.take().map(u64::from_le_bytes)
-    }
-
-    fn string(&mut self) -> Option<String> {
-        let bytes = self.u32()? as usize;
-        let (text, rest) = self.0.split_at_checked(bytes)?;
-        self.0 = rest;
-        String::from_utf8(text.to_vec()).ok()
-    }
-}
-
-/// Counts and hashes what is read.
-struct Hashed<R> {
-    source: R,
-    hash: crc32fast::Hasher,
-    bytes: u64,
-}
-
-impl<R: Read> Read for Hashed<R> {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let n = self.source.read(buffer)?;
-        self.hash.update(&buffer[..n]);
-        self.bytes += n as u64;
-        Ok(n)
-    }
+    kind == 0 || (RESERVED..PRIVATE).contains(&kind)
 }

@@ -115,7 +115,7 @@ fn a_wrong_length_is_passed_by_the_summary() {
     let mut bytes = recording(6, size, Packing::Stored);
     // The length of the first chunk, which comes after the magic and the header.
     let header = 8 + 9 + u64::from_le_bytes(bytes[9..17].try_into().unwrap()) as usize;
-    assert_eq!(bytes[header], records::kind::CHUNK);
+    assert_eq!(bytes[header], mcap::records::op::CHUNK);
     bytes[header + 8] = 0x7f;
     let (contents, images) = read(&[&bytes]).unwrap();
     assert_eq!(images.len(), 12, "{:?}", contents.damages);
