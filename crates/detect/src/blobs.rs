@@ -195,12 +195,12 @@ mod tests {
         let ellipse = |x: f64, y: f64| {
             let (along, across) =
                 (0.8 * (x - at[0]) + 0.6 * (y - at[1]), 0.8 * (y - at[1]) - 0.6 * (x - at[0]));
-            (along / 12.0).powi(2) + (across / 6.0).powi(2) < 1.0
+            (along / 10.0).powi(2) + (across / 5.0).powi(2) < 1.0
         };
         let blobs = find_blobs(&image(ellipse), 0.3);
         let [blob] = blobs[..] else { panic!("{blobs:?}") };
         assert!((blob.pixel[0] - at[0]).hypot(blob.pixel[1] - at[1]) < 0.01, "{blob:?}");
-        assert!((blob.area_px / (72.0 * std::f64::consts::PI) - 1.0).abs() < 0.01, "{blob:?}");
+        assert!((blob.area_px / (50.0 * std::f64::consts::PI) - 1.0).abs() < 0.01, "{blob:?}");
     }
 
     #[test]

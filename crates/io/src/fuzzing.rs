@@ -85,7 +85,7 @@ mod tests {
         };
         match reader {
             "corners_csv" => vec![b"camera,view,point,u,v,sigma_px\nleft,1,0,5,6,0.1\nleft,1,1,7.5,6e0,1\n".to_vec()],
-            "corners_vnl" => vec![b"# filename x y level\na.png 1 2 0\na.png 3 4 1\na.png - - -\n".to_vec()],
+            "corners_vnl" => vec![b"# filename x y level\na.png 1 2 0\na.png 3 4 1\na.png - - -\na.png 5 6 0\na.png 7 8 0\na.png 9 9 0\n".to_vec()],
             "image" => {
                 let mut jpeg = vec![
                     file(image::ImageFormat::Png),
