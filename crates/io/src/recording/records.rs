@@ -15,7 +15,7 @@ use mcap::sans_io::{
 use mcap::{McapError, Summary};
 
 /// The first and the last bytes of a file.
-pub(crate) const MAGIC: [u8; 8] = *mcap::MAGIC;
+pub(crate) const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
 /// The largest record that is read, in bytes; a message is one.
 const RECORD_LIMIT: usize = 1 << 28;
 /// The length of a record's kind and length.
