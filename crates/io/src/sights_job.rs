@@ -35,8 +35,8 @@ use crate::{Error, Place};
 pub struct TimedPose {
     /// The time in seconds, by the clock of whoever wrote it.
     pub time_s: Option<f64>,
-    /// The pose.
-    pub pose: Pose,
+    /// The pose: `base_from_flange` of a robot, `cam_from_target` of a camera.
+    pub fixed_from_moving: Pose,
 }
 
 /// What a robot said.
@@ -185,7 +185,7 @@ impl Reader {
                     found: format!("row {} is no pose read as {convention}", i + 1),
                     need: "check `convention`: the unit of angles, the kind and order of the numbers",
                 })?;
-                poses.push(TimedPose { time_s: row.time_s, pose });
+                poses.push(TimedPose { time_s: row.time_s, fixed_from_moving: pose });
             }
         }
         Ok(poses)
@@ -243,7 +243,7 @@ impl Reader {
             let translation = Vector3::new(number("x")?, number("y")?, number("z")?);
             let time_s = time.parse::<f64>().ok().filter(|time_s| time_s.is_finite());
             readings.push(joints);
-            sights.push(TimedPose { time_s, pose: Pose::new(rotation, translation) });
+            sights.push(TimedPose { time_s, fixed_from_moving: Pose::new(rotation, translation) });
         }
         if sights.is_empty() {
             return Err(Error::Empty { file });
@@ -272,9 +272,15 @@ mod tests {
         let text = "[robot]\nmount = \"fixed\"\nposes = [\"arm.csv\"]\n[sights]\nposes = [\"seen.csv\"]\nconvention = \"ros:inverse\"\n";
         let found = job(&[(JOB_FILE, text), ARM, SEEN]).unwrap().unwrap();
         assert_eq!(found.mounting, Some(Mounting::RigInBase));
-        assert_eq!((found.sights[1].time_s, found.sights[1].pose.translation.z), (Some(2.4), -2.0));
+        assert_eq!(
+            (found.sights[1].time_s, found.sights[1].fixed_from_moving.translation.z),
+            (Some(2.4), -2.0)
+        );
         let RobotRows::Poses(rows) = &found.robot else { panic!("{:?}", found.robot) };
-        assert_eq!((rows.len(), rows[1].time_s, rows[1].pose.translation.z), (2, Some(2.5), 4.0));
+        assert_eq!(
+            (rows.len(), rows[1].time_s, rows[1].fixed_from_moving.translation.z),
+            (2, Some(2.5), 4.0)
+        );
         assert_eq!(found.inputs.len(), 3);
         assert_eq!(job(&[(JOB_FILE, "[robot]\nposes = [\"arm.csv\"]\n"), ARM]).unwrap(), None);
     }
@@ -290,7 +296,10 @@ mod tests {
         let text = "[sights]\nmeasurements = \"m.yaml\"\n";
         let found = job(&[(JOB_FILE, text), ("m.yaml", yaml)]).unwrap().unwrap();
         assert_eq!(found.robot, RobotRows::Joints(vec![vec![-0.25, 0.5]]));
-        assert_eq!((found.sights[0].pose.translation.x, found.sights[0].time_s), (-0.5, Some(1593701755.0)));
+        assert_eq!(
+            (found.sights[0].fixed_from_moving.translation.x, found.sights[0].time_s),
+            (-0.5, Some(1593701755.0))
+        );
     }
 
     #[test]

@@ -12,8 +12,12 @@ use crate::step::{StepSolver, backward, cholesky, forward};
 use crate::structure::{HELD, Structure};
 pub use linear::LinearFunctions;
 
-/// The least reciprocal condition of the scaled reduced system with which its inverse means something.
-const LEAST_RECIPROCAL_CONDITION: f64 = 1e-14;
+/// The least reciprocal condition of the scaled reduced system with which its inverse means something: rounding
+/// of a hundred times the last bit then changes a sigma by a percent.
+const LEAST_RECIPROCAL_CONDITION: f64 = 1e-12;
+
+/// A column of which elimination leaves no more than this share is lost in rounding.
+const LOST_SHARE: f64 = 1e-14;
 
 /// The joint covariance of all free columns, for residuals in units of their sigma.
 #[derive(Debug)]
@@ -72,7 +76,7 @@ fn covariance_of(
         columns: dominant(&direction, &structure.natural_columns),
     };
     let factored = steps.factor(&structure, &model, 0.0, &threads);
-    let lost = steps.reduced.lost_columns(&model.reduced, LEAST_RECIPROCAL_CONDITION);
+    let lost = steps.reduced.lost_columns(&model.reduced, LOST_SHARE);
     if !lost.is_empty() {
         let mut direction = vec![0.0; structure.n_reduced];
         lost.iter().for_each(|&column| direction[column] = 1.0);

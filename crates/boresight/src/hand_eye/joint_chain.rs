@@ -66,7 +66,7 @@ pub fn joint_chain(readings_rad: &[Vec<f64>], sights: &[TimedPose]) -> Result<Jo
     if readings_rad.len() != sights.len() {
         return Err(Error::Unpaired { poses: readings_rad.len(), sights: sights.len() });
     }
-    let seen: Vec<Pose> = sights.iter().map(|sight| sight.pose).collect();
+    let seen: Vec<Pose> = sights.iter().map(|sight| sight.fixed_from_moving).collect();
     let start = joint_lines(readings_rad, &seen)?;
     if let Some(finding) = of_unit(&start.radians_per_unit) {
         return Err(Error::Degenerate(Box::new(finding)));

@@ -38,7 +38,7 @@ const TARGET: ([f64; 3], [f64; 3]) = ([3.0, 0.2, 0.1], [0.7, 0.1, 0.02]);
 fn recording(mounting: Mounting, late_s: f64) -> (Vec<TimedPose>, Vec<TimedPose>) {
     let (rig, target) = (pose(RIG.0, RIG.1), pose(TARGET.0, TARGET.1));
     let robot = (0..4000).map(|i| 0.01 * f64::from(i));
-    let robot = robot.map(|t| TimedPose { time_s: Some(t), pose: flange(t) }).collect();
+    let robot = robot.map(|t| TimedPose { time_s: Some(t), fixed_from_moving: flange(t) }).collect();
     let seen = (0..900usize).map(|i| 4.0 + i as f64 / 30.0).enumerate().map(|(row, t)| {
         let carrier_from_other = match mounting {
             Mounting::RigOnFlange => flange(t).inverse(),
@@ -47,7 +47,7 @@ fn recording(mounting: Mounting, late_s: f64) -> (Vec<TimedPose>, Vec<TimedPose>
         let exact = rig.inverse() * carrier_from_other * target;
         // One in fifty is the pose of something else.
         let wrong = if row % 50 == 7 { pose([0.3, 0.0, 0.0], [0.0, 0.1, 0.0]) } else { Pose::identity() };
-        TimedPose { time_s: Some(t + late_s), pose: sight(&(wrong * exact), row, 1e-3) }
+        TimedPose { time_s: Some(t + late_s), fixed_from_moving: sight(&(wrong * exact), row, 1e-3) }
     });
     (robot, seen.collect())
 }
@@ -55,8 +55,10 @@ fn recording(mounting: Mounting, late_s: f64) -> (Vec<TimedPose>, Vec<TimedPose>
 #[test]
 fn rows_without_times_are_paired_by_order() {
     let (_, seen) = recording(Mounting::RigOnFlange, 0.0);
-    let robot: Vec<TimedPose> =
-        seen.iter().map(|row| TimedPose { time_s: None, pose: flange(row.time_s.unwrap()) }).collect();
+    let robot: Vec<TimedPose> = seen
+        .iter()
+        .map(|row| TimedPose { time_s: None, fixed_from_moving: flange(row.time_s.unwrap()) })
+        .collect();
     let found = hand_eye_of_poses(&robot[..60], &seen[..60], Some(Mounting::RigOnFlange)).unwrap();
     assert!(found.clock.is_none() && found.blocks == 60, "{found:?}");
     let error = (found.carrier_from_rig * pose(RIG.0, RIG.1).inverse()).log();
@@ -71,11 +73,11 @@ fn streams_that_tell_too_little_are_refused() {
     let about_z = |t: f64| pose([0.0, 0.0, 0.5 * (1.3 * t).sin() + 0.1 * t], [0.5, 0.1 * t, 0.3]);
     let time = |row: &TimedPose| row.time_s.unwrap();
     let one_axis: Vec<TimedPose> =
-        robot.iter().map(|row| TimedPose { pose: about_z(time(row)), ..*row }).collect();
+        robot.iter().map(|row| TimedPose { fixed_from_moving: about_z(time(row)), ..*row }).collect();
     let (rig, target) = (pose(RIG.0, RIG.1), pose(TARGET.0, TARGET.1));
     let seen_of_it: Vec<TimedPose> = seen
         .iter()
-        .map(|row| TimedPose { pose: (about_z(time(row)) * rig).inverse() * target, ..*row })
+        .map(|row| TimedPose { fixed_from_moving: (about_z(time(row)) * rig).inverse() * target, ..*row })
         .collect();
     let refused = hand_eye_of_poses(&one_axis, &seen_of_it, None);
     assert!(

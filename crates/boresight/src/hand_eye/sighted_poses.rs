@@ -110,7 +110,7 @@ pub fn hand_eye_of_poses(
         findings.extend(of_match(matched));
     }
     let offset_s = matched.map_or(0.0, |matched| matched.offset_s);
-    let seen: Vec<Pose> = sights.iter().map(|sight| sight.pose).collect();
+    let seen: Vec<Pose> = sights.iter().map(|sight| sight.fixed_from_moving).collect();
     let told = told(&arm, offset_s);
     let poses: Vec<Pose> = spread(&told.iter().flatten().copied().collect::<Vec<_>>(), 200);
     findings.extend(check_motions(&poses, RobotAxes::Six)?);
@@ -174,7 +174,7 @@ pub fn hand_eye_of_poses(
 fn arm_of(robot: &[TimedPose], sights: &[TimedPose]) -> Result<(Arm, Option<ClockOffset>), Error> {
     let stream = |rows: &[TimedPose]| -> Option<PoseStream> {
         let samples: Option<Vec<(f64, Pose)>> =
-            rows.iter().map(|row| row.time_s.map(|time_s| (time_s, row.pose))).collect();
+            rows.iter().map(|row| row.time_s.map(|time_s| (time_s, row.fixed_from_moving))).collect();
         Some(PoseStream::new(samples?))
     };
     match (stream(robot), stream(sights)) {
@@ -184,7 +184,9 @@ fn arm_of(robot: &[TimedPose], sights: &[TimedPose]) -> Result<(Arm, Option<Cloc
             let times_s = sights.iter().filter_map(|sight| sight.time_s).collect();
             Ok((Arm::Stream { base_from_flange, times_s }, Some(matched)))
         }
-        _ if robot.len() == sights.len() => Ok((Arm::Rows(robot.iter().map(|row| row.pose).collect()), None)),
+        _ if robot.len() == sights.len() => {
+            Ok((Arm::Rows(robot.iter().map(|row| row.fixed_from_moving).collect()), None))
+        }
         _ => Err(Error::Unpaired { poses: robot.len(), sights: sights.len() }),
     }
 }

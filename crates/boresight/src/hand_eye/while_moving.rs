@@ -31,7 +31,7 @@ pub(super) fn place_frames(
         return Ok(None);
     }
     let read = |row: &boresight_data::PoseRow| {
-        Some(TimedPose { time_s: row.time_s, pose: robot.convention.base_from_flange(row)? })
+        Some(TimedPose { time_s: row.time_s, fixed_from_moving: robot.convention.base_from_flange(row)? })
     };
     let rows: Option<Vec<TimedPose>> = robot.rows.iter().map(read).collect();
     let rows = rows.ok_or(Error::UnreadablePoses { convention: robot.convention, finding: None })?;
@@ -40,12 +40,12 @@ pub(super) fn place_frames(
         .ids()
         .filter_map(|frame| {
             let time_s = robot.frame_times_s[frame.index()]?;
-            Some(TimedPose { time_s: Some(time_s), pose: scene.rig_from_target[frame]? })
+            Some(TimedPose { time_s: Some(time_s), fixed_from_moving: scene.rig_from_target[frame]? })
         })
         .collect();
     let found = hand_eye_of_poses(&rows, &sights, robot.mounting)?;
     let clock = found.clock.ok_or(Error::NoClosedForm { poses: rows.len() })?;
-    let stream = PoseStream::new(rows.iter().filter_map(|row| Some((row.time_s?, row.pose))));
+    let stream = PoseStream::new(rows.iter().filter_map(|row| Some((row.time_s?, row.fixed_from_moving))));
     let mut tied = robot.clone();
     let apart = |row: usize, time_s: f64| rows[row].time_s.map_or(f64::INFINITY, |at| (at - time_s).abs());
     for (id, frame) in dataset.frames.iter_mut().enumerate() {

@@ -105,9 +105,14 @@ pub(crate) fn read_records<R: Read + Seek>(file: R, listener: &mut dyn Listener)
             break;
         }
         let next = (at + PREFIX).checked_add(length).filter(|next| *next <= end);
+        let later = || chunks.iter().copied().find(|chunk| *chunk >= at + PREFIX);
         if !is_no_kind(kind) && (next.is_some() || kind == op::CHUNK) {
-            file.seek(SeekFrom::Start(at))?;
-            let mut record = (&mut file).take(next.unwrap_or(end) - at);
+            // A chunk that is longer than the file is no longer than the place of the next one allows.
+            let next = next.or_else(later);
+            if let Some(next) = next {
+                prefix[1..].copy_from_slice(&(next - at - PREFIX).to_le_bytes());
+            }
+            let mut record = (&prefix[..]).chain((&mut file).take(next.unwrap_or(end) - at - PREFIX));
             match read_record(&mut record, at, listener)? {
                 Ok(ControlFlow::Continue(())) => {}
                 Ok(ControlFlow::Break(())) => break,
@@ -115,7 +120,6 @@ pub(crate) fn read_records<R: Read + Seek>(file: R, listener: &mut dyn Listener)
             }
         }
         let is_record = !is_no_kind(kind) && next.is_some();
-        let later = || chunks.iter().copied().find(|chunk| *chunk > at);
         at = match (next, later()) {
             (Some(next), _) if is_record => next,
             // Only its length is wrong, as a later chunk shows.
