@@ -20,7 +20,7 @@ pub struct CameraPair {
     pub within: usize,
     /// How many pairs of images there are.
     pub pairs: usize,
-    /// How often the second's time less the first's falls into each of [`BINS`] equal parts of `histogram_range_ns`.
+    /// How often the second's time less the first's falls into each of the equal parts of `histogram_range_ns`.
     pub histogram: Vec<usize>,
     /// Where the histogram begins and ends, in nanoseconds.
     pub histogram_range_ns: [i64; 2],
