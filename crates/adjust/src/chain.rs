@@ -1,7 +1,7 @@
 //! A chain of poses from target to camera, and how each link moves its end.
 
 use boresight_geometry::{Matrix3, Pose, Vector3};
-use boresight_solver::{BlockId, LinkMap, Links, Values};
+use boresight_solver::{BlockId, Links, Values};
 
 /// One factor of `cam_from_target`, from left to right.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,9 +54,12 @@ impl Chain {
             };
             match link {
                 // A exp(d) X = exp(Ad(A) d) A X.
-                Link::Block(_) => links.push(prefix.as_ref().map(|(r, t)| LinkMap::adjoint(r, t, 1.0))),
+                Link::Block(_) => match &prefix {
+                    None => links.push_identity(),
+                    Some((rotation, translation)) => links.push_adjoint(rotation, translation, 1.0),
+                },
                 // A (exp(d) X)⁻¹ = A X⁻¹ exp(-d) = exp(-Ad(A X⁻¹) d) A X⁻¹.
-                Link::Inverse(_) => links.push(Some(LinkMap::adjoint(&next.0, &next.1, -1.0))),
+                Link::Inverse(_) => links.push_adjoint(&next.0, &next.1, -1.0),
                 Link::Known(_) => {}
             }
             prefix = Some(next);
@@ -78,7 +81,7 @@ impl Link {
 #[cfg(test)]
 mod tests {
     use boresight_geometry::{Matrix6, Vector6};
-    use boresight_solver::{Elimination, Parameters};
+    use boresight_solver::{Elimination, LinkMap, Parameters};
 
     use super::*;
 

@@ -30,9 +30,10 @@ const POINTS_AT_ONCE: usize = 104;
 /// The largest number of shape coefficients of a target.
 const MAX_SHAPE: usize = 2;
 
-/// The first columns of a row: focal length, centre, six of the pose. The lens parameters follow.
-const FIRST_POSE_COLUMN: usize = 2;
-const FIRST_LENS_COLUMN: usize = 8;
+/// The column of the first lens parameter after the core: focal length and centre come before.
+///
+/// The shape coefficients follow the lens parameters, then the six columns of the pose and the residual.
+const FIRST_LENS_COLUMN: usize = 2;
 
 /// Points of a target side by side, padded to whole registers by repeating the last.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -66,6 +67,16 @@ enum Weights {
     Each(Vec<f64>),
 }
 
+impl Weights {
+    /// Returns the weight that all share, or one where each has its own.
+    fn uniform(&self) -> f64 {
+        match self {
+            Weights::Uniform(weight) => *weight,
+            Weights::Each(_) => 1.0,
+        }
+    }
+}
+
 /// The layouts in use, which terms of like lenses and shapes share.
 #[derive(Debug, Default)]
 pub struct Layouts {
@@ -95,9 +106,8 @@ fn layout(n_params: usize, n_shape: usize) -> CompositeColumns {
         1 => (Some(Row::V), 0),
         2 => (Some(Row::U), 1),
         3 => (Some(Row::V), 1),
-        _ if column < n_own => (None, FIRST_LENS_COLUMN + column - 4),
-        _ if column < n_own + 6 => (None, FIRST_POSE_COLUMN + column - n_own),
-        _ => (None, n_row_columns - 1),
+        // The rest are in the order of the rows, of which two columns stand for four parameters.
+        _ => (None, column - 2),
     })
 }
 
@@ -344,13 +354,8 @@ fn accumulate<L: RowLens, S: Simd, const SHAPE: usize>(
     let stride = n_columns.next_multiple_of(BLOCK);
     let n_chunks_at_once = POINTS_AT_ONCE / S::F64_LANES;
     let room = n_chunks_at_once * stride * S::F64_LANES;
-    // Loads that straddle cache lines take twice as long.
-    const LINE: usize = 64 / size_of::<f64>();
-    if scratch.rows.len() < 2 * room + LINE {
-        scratch.rows.resize(2 * room + LINE, 0.0);
-    }
-    let aligned = scratch.rows.as_ptr().align_offset(64).min(LINE);
-    let (u_rows, v_rows) = scratch.rows[aligned..aligned + 2 * room].split_at_mut(room);
+    scratch.rows.make_room(2 * room);
+    let (u_rows, v_rows) = scratch.rows.split_at_mut(room);
     let by_focal = [1.0 / lens[0], 1.0 / lens[1]];
     let context = Context { model, term, lens, by_focal, rotation, translation, shape };
     // A weight that all rows share is applied to their sums.
@@ -415,23 +420,10 @@ impl<L: RowLens> Context<'_, L> {
         point: usize,
         rows: [&mut [S::f64s]; 2],
     ) -> Option<f64> {
-        let Self { model, term, lens, by_focal, rotation, translation, shape } = self;
+        let Self { model, term, lens, by_focal, rotation, .. } = self;
         let n_lens = model.param_count() - 4;
         let zero = Lanes::splat(simd, 0.0);
-        let axes = &term.points.axes;
-        let (x, y, mut z) =
-            (load(simd, &axes[0], point), load(simd, &axes[1], point), load(simd, &axes[2], point));
-        let mut basis = [zero; SHAPE];
-        for j in 0..SHAPE {
-            basis[j] = load(simd, &axes[3 + j], point);
-            z = basis[j].mul_add(zero.like(shape[j]), z);
-        }
-        let mut p = [zero; 3];
-        for i in 0..3 {
-            let along_z = z.mul_add(zero.like(rotation[(i, 2)]), zero.like(translation[i]));
-            let along_y = y.mul_add(zero.like(rotation[(i, 1)]), along_z);
-            p[i] = x.mul_add(zero.like(rotation[(i, 0)]), along_y);
-        }
+        let (p, basis) = self.place::<S, SHAPE>(simd, point);
         let mut by_point = [[zero; 3]; 2];
         let mut by_lens_u = [zero; MAX_LENS];
         let mut by_lens_v = [zero; MAX_LENS];
@@ -447,18 +439,10 @@ impl<L: RowLens> Context<'_, L> {
         let mut loss = 0.0;
         let mut scale = zero.like(1.0);
         if WEIGHTED {
-            scale = self.weights(simd, point);
-            residuals = [residuals[0] * scale, residuals[1] * scale];
-            if let Loss::Cauchy { sigmas } = term.loss {
-                // ρ(s) = c² ln(1 + s/c²), whose weight is 1 / (1 + s/c²).
-                let square = residuals[0].mul_add(residuals[0], residuals[1] * residuals[1]);
-                let one_more = square.scale(1.0 / (sigmas * sigmas)) + zero.like(1.0);
-                let by_root = zero.like(1.0) / one_more.sqrt();
-                loss =
-                    sigmas * sigmas * one_more.to_array()[..S::F64_LANES].iter().map(|x| x.ln()).sum::<f64>();
-                scale = scale * by_root;
-                residuals = [residuals[0] * by_root, residuals[1] * by_root];
-            }
+            // A weight that all rows share is applied to their sums where there is no loss.
+            let uniform = if term.loss == Loss::None { 1.0 } else { term.weights.uniform() };
+            scale = self.weights(simd, point, uniform);
+            loss = self.weigh(&mut scale, &mut residuals);
         }
         for (row, columns) in rows.into_iter().enumerate() {
             let columns = &mut columns[..n_row_columns(model.param_count(), SHAPE).div_ceil(BLOCK) * BLOCK];
@@ -471,54 +455,113 @@ impl<L: RowLens> Context<'_, L> {
             }
             columns[0] = by_focal.value;
             columns[1] = scale.value;
-            // A left perturbation (w, v) moves the point by w × p + v, so w counts by p × gradient.
-            columns[2] = (p[1] * c - p[2] * b).value;
-            columns[3] = (p[2] * a - p[0] * c).value;
-            columns[4] = (p[0] * b - p[1] * a).value;
-            (columns[5], columns[6], columns[7]) = (a.value, b.value, c.value);
             for i in 0..n_lens {
                 let by_param = if WEIGHTED { by_lens[i] * scale } else { by_lens[i] };
                 columns[FIRST_LENS_COLUMN + i] = by_param.value;
             }
             let rest = &mut columns[FIRST_LENS_COLUMN + n_lens..];
-            if SHAPE > 0 {
-                // A shape coefficient moves the point along the target's z axis.
-                let along_z = a.mul_add(
-                    zero.like(rotation[(0, 2)]),
-                    b.mul_add(zero.like(rotation[(1, 2)]), c * zero.like(rotation[(2, 2)])),
-                );
-                for j in 0..SHAPE {
-                    rest[j] = (along_z * basis[j]).value;
-                }
-            }
-            rest[SHAPE] = residuals[row].value;
-            for rest in &mut rest[SHAPE + 1..] {
-                *rest = zero.value;
-            }
+            write_geometry(rotation, &p, [a, b, c], &basis, residuals[row], rest);
         }
         Some(loss)
     }
 }
 
-impl<L> Context<'_, L> {
-    /// Returns the inverse sigmas of a chunk; zero in the padding.
-    ///
-    /// A weight that all rows share is applied to their sums where there is no loss, so it is one here.
-    #[inline(always)]
-    fn weights<S: Simd>(&self, simd: S, point: usize) -> Lanes<S> {
-        match &self.term.weights {
-            Weights::Each(weights) => load(simd, weights, point),
-            Weights::Uniform(weight) => {
-                let weight = if self.term.loss == Loss::None { 1.0 } else { *weight };
-                let n_left = self.term.points.n_points - point;
-                if n_left >= S::F64_LANES {
-                    return Lanes::splat(simd, weight);
-                }
-                let mut weights = [0.0; MAX_LANES];
-                weights[..n_left].fill(weight);
-                Lanes::from_array(simd, &weights)
-            }
+/// Writes the columns of the shape, the pose and the residual, and zeros in idle ones.
+///
+/// `p` is the point in the camera frame, `[a, b, c]` the row's derivative by it, `basis` what each shape
+/// coefficient adds to the point's z on the target.
+#[inline(always)]
+fn write_geometry<S: Simd, const SHAPE: usize>(
+    rotation: &Matrix3<f64>,
+    p: &[Lanes<S>; 3],
+    [a, b, c]: [Lanes<S>; 3],
+    basis: &[Lanes<S>; SHAPE],
+    residual: Lanes<S>,
+    columns: &mut [S::f64s],
+) {
+    if SHAPE > 0 {
+        // A shape coefficient moves the point along the target's z axis.
+        let along_z = a.mul_add(
+            a.like(rotation[(0, 2)]),
+            b.mul_add(a.like(rotation[(1, 2)]), c * a.like(rotation[(2, 2)])),
+        );
+        for j in 0..SHAPE {
+            columns[j] = (along_z * basis[j]).value;
         }
+    }
+    let rest = &mut columns[SHAPE..];
+    // A left perturbation (w, v) moves the point by w × p + v, so w counts by p × gradient.
+    rest[0] = (p[1] * c - p[2] * b).value;
+    rest[1] = (p[2] * a - p[0] * c).value;
+    rest[2] = (p[0] * b - p[1] * a).value;
+    (rest[3], rest[4], rest[5]) = (a.value, b.value, c.value);
+    rest[6] = residual.value;
+    for idle in &mut rest[7..] {
+        *idle = a.like(0.0).value;
+    }
+}
+
+impl<L> Context<'_, L> {
+    /// Returns the points of a chunk in the camera frame, and what each shape coefficient adds to
+    /// their z on the target.
+    #[inline(always)]
+    fn place<S: Simd, const SHAPE: usize>(
+        &self,
+        simd: S,
+        point: usize,
+    ) -> ([Lanes<S>; 3], [Lanes<S>; SHAPE]) {
+        let Self { term, rotation, translation, shape, .. } = self;
+        let zero = Lanes::splat(simd, 0.0);
+        let axes = &term.points.axes;
+        let (x, y, mut z) =
+            (load(simd, &axes[0], point), load(simd, &axes[1], point), load(simd, &axes[2], point));
+        let mut basis = [zero; SHAPE];
+        for j in 0..SHAPE {
+            basis[j] = load(simd, &axes[3 + j], point);
+            z = basis[j].mul_add(zero.like(shape[j]), z);
+        }
+        let mut p = [zero; 3];
+        for i in 0..3 {
+            let along_z = z.mul_add(zero.like(rotation[(i, 2)]), zero.like(translation[i]));
+            let along_y = y.mul_add(zero.like(rotation[(i, 1)]), along_z);
+            p[i] = x.mul_add(zero.like(rotation[(i, 0)]), along_y);
+        }
+        (p, basis)
+    }
+
+    /// Returns the inverse sigmas of a chunk, `uniform` where all are alike; zero in the padding.
+    #[inline(always)]
+    fn weights<S: Simd>(&self, simd: S, point: usize, uniform: f64) -> Lanes<S> {
+        if let Weights::Each(weights) = &self.term.weights {
+            return load(simd, weights, point);
+        }
+        let n_left = self.term.points.n_points - point;
+        if n_left >= S::F64_LANES {
+            return Lanes::splat(simd, uniform);
+        }
+        let mut weights = [0.0; MAX_LANES];
+        weights[..n_left].fill(uniform);
+        Lanes::from_array(simd, &weights)
+    }
+
+    /// Brings residuals from pixels to sigmas and weighs them and what their rows are multiplied with as
+    /// the loss wants it; returns the chunk's robust loss, if there is one.
+    #[inline(always)]
+    fn weigh<S: Simd>(&self, scale: &mut Lanes<S>, residuals: &mut [Lanes<S>; 2]) -> f64 {
+        *residuals = [residuals[0] * *scale, residuals[1] * *scale];
+        let Loss::Cauchy { sigmas } = self.term.loss else { return 0.0 };
+        // ρ(s) = c² ln(1 + s/c²), whose weight is 1 / (1 + s/c²).
+        let one = scale.like(1.0);
+        let square = residuals[0].mul_add(residuals[0], residuals[1] * residuals[1]);
+        let one_more = square.scale(1.0 / (sigmas * sigmas)) + one;
+        let by_root = one / one_more.sqrt();
+        *scale = *scale * by_root;
+        *residuals = [residuals[0] * by_root, residuals[1] * by_root];
+        let mut loss = 0.0;
+        for ratio in &one_more.to_array()[..S::F64_LANES] {
+            loss += sigmas * sigmas * ratio.ln();
+        }
+        loss
     }
 }
 
@@ -527,10 +570,10 @@ fn n_whole_params(model: Model) -> usize {
     if model.local_support().is_some() { 4 } else { model.param_count() }
 }
 
-/// Returns the number of columns of a row: the core, the pose, the lens, the shape, the residual.
+/// Returns the number of columns of a row: the core, the lens, the shape, the pose, the residual.
 #[inline(always)]
 const fn n_row_columns(n_params: usize, n_shape: usize) -> usize {
-    FIRST_LENS_COLUMN + (n_params - 4) + n_shape + 1
+    FIRST_LENS_COLUMN + (n_params - 4) + n_shape + 6 + 1
 }
 
 /// The largest number of lens parameters beyond the core.

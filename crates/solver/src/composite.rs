@@ -10,9 +10,10 @@ use std::sync::Arc;
 use boresight_geometry::{Matrix3, Vector3};
 use pulp::{Simd, WithSimd};
 
+use crate::aligned::Aligned;
 use crate::gram::{PairGram, Row};
 use crate::lanes::MAX_LANES;
-use crate::linearization::{GroupSums, SIDE};
+use crate::linearization::{GroupSums, SIDE, add};
 use crate::problem::{GramMut, POSE_COLUMNS, Scratch, Term, Values};
 use crate::structure::{CompositePlace, CouplingRun};
 
@@ -51,7 +52,7 @@ pub struct Links {
 }
 
 /// How a left perturbation of a link moves the composite pose: the adjoint of a pose, or less that.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LinkMap {
     /// Row by row; the last two columns are zero and fill the registers.
     rows: [[f64; BLOCK_STRIDE]; POSE_COLUMNS],
@@ -66,13 +67,21 @@ impl Links {
         self.n = 0;
     }
 
-    /// Adds a link; `None` is the identity, which spares the products.
+    /// Adds a link whose map is the identity, which spares the products.
     ///
     /// # Panics
-    /// If there are more than [`MAX_LINKS`].
+    /// If there are more than [`MAX_LINKS`], as the next.
     #[inline(always)]
-    pub fn push(&mut self, map: Option<LinkMap>) {
-        self.maps[self.n] = map;
+    pub fn push_identity(&mut self) {
+        self.maps[self.n] = None;
+        self.n += 1;
+    }
+
+    /// Adds a link whose map is `sign` times the adjoint of the pose of this rotation and translation.
+    #[inline(always)]
+    pub fn push_adjoint(&mut self, rotation: &Matrix3<f64>, translation: &Vector3<f64>, sign: f64) {
+        // In its place: a map is large, and what is zero in one is zero in all.
+        self.maps[self.n].get_or_insert_default().set_adjoint(rotation, translation, sign);
         self.n += 1;
     }
 
@@ -83,17 +92,15 @@ impl Links {
 }
 
 impl LinkMap {
-    /// Returns `sign` times the adjoint of the pose of this rotation and translation.
     #[inline(always)]
-    pub fn adjoint(rotation: &Matrix3<f64>, t: &Vector3<f64>, sign: f64) -> Self {
-        let mut rows = [[0.0; BLOCK_STRIDE]; POSE_COLUMNS];
+    fn set_adjoint(&mut self, rotation: &Matrix3<f64>, t: &Vector3<f64>, sign: f64) {
+        let rows = &mut self.rows;
         for k in 0..3 {
             let [x, y, z] = [rotation[(0, k)] * sign, rotation[(1, k)] * sign, rotation[(2, k)] * sign];
             (rows[0][k], rows[1][k], rows[2][k]) = (x, y, z);
             (rows[3][3 + k], rows[4][3 + k], rows[5][3 + k]) = (x, y, z);
             (rows[3][k], rows[4][k], rows[5][k]) = (t.y * z - t.z * y, t.z * x - t.x * z, t.x * y - t.y * x);
         }
-        Self { rows }
     }
 
     /// Returns the map as a matrix, row by row.
@@ -283,10 +290,10 @@ pub fn expand_composite(
 #[derive(Clone, Debug, Default)]
 pub(crate) struct CompositeSums {
     /// Of the products of rows, as they lie, and a zero.
-    pub sums: Vec<f64>,
+    pub sums: Aligned,
     /// For each link six rows, which have the mapped columns of the composite term and then
     /// [`BLOCK_STRIDE`] for each link; zeros for an eliminated link, and nothing if one is alone.
-    pub links: Vec<f64>,
+    pub links: Aligned,
 }
 
 impl CompositeSums {
@@ -295,7 +302,10 @@ impl CompositeSums {
         let columns = &place.columns;
         let n_links = columns.link_count(place.n_columns);
         let n_link_rows = if place.alone.is_some() { 0 } else { n_links * POSE_COLUMNS };
-        Self { sums: vec![0.0; columns.n_sums + 1], links: vec![0.0; n_link_rows * columns.block(n_links)] }
+        Self {
+            sums: Aligned::zeros(columns.n_sums + 1),
+            links: Aligned::zeros(n_link_rows * columns.block(n_links)),
+        }
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -305,6 +315,12 @@ impl CompositeSums {
     pub(crate) fn clear(&mut self) {
         self.sums.fill(0.0);
         self.links.fill(0.0);
+    }
+
+    /// Adds sums of the same kind, or none.
+    pub(crate) fn add(&mut self, part: &Self) {
+        add(&mut self.sums, &part.sums);
+        add(&mut self.links, &part.links);
     }
 
     /// Adds everything to the upper triangle `matrix` over the term's columns without the eliminated ones.
@@ -373,8 +389,8 @@ impl WithSimd for AddComposite<'_> {
         let (stride, n_own) = (columns.stride(), columns.n_own);
         let row_stride = columns.block(columns.link_count(n_columns));
         // A block is read where the row of its columns may end one number before it.
-        pose_rows.resize(POSE_COLUMNS * stride + BLOCK_STRIDE, 0.0);
-        link_rows.resize(POSE_COLUMNS * row_stride + BLOCK_STRIDE, 0.0);
+        pose_rows.make_room(POSE_COLUMNS * stride + BLOCK_STRIDE);
+        link_rows.make_room(POSE_COLUMNS * row_stride + BLOCK_STRIDE);
         add_scaled(simd, &mut kind.sums[..columns.n_sums], &gram.sums()[..columns.n_sums], factor);
         columns.gather(gram.sums(), factor, pose_rows);
         for (link, map) in links.maps().iter().enumerate().filter(|(link, _)| alone != Some(*link)) {

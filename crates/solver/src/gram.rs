@@ -7,6 +7,7 @@
 
 use pulp::{Simd, WithSimd};
 
+use crate::aligned::Aligned;
 use crate::lanes::MAX_LANES;
 
 /// The number of columns in a block.
@@ -28,7 +29,7 @@ pub enum Row {
 #[derive(Clone, Debug, Default)]
 pub struct PairGram {
     /// Tiles of the first block for u, those for v, then the others by rows of the upper triangle; then a zero.
-    tiles: Vec<f64>,
+    tiles: Aligned,
 }
 
 /// Where in a tile the product of columns (r, c) lies, at `r * BLOCK + c`, after the transposing reduction of eight lanes.
@@ -46,8 +47,8 @@ impl PairGram {
 
     /// Makes all sums over rows of `n_columns` zero.
     pub fn clear(&mut self, n_columns: usize) {
-        self.tiles.clear();
-        self.tiles.resize(Self::sum_count(n_columns) + 1, 0.0);
+        self.tiles.make_room(Self::sum_count(n_columns) + 1);
+        self.tiles.fill(0.0);
     }
 
     /// Makes the sums those over the rows in `u` and `v`, or adds them to what is there.
@@ -57,7 +58,7 @@ impl PairGram {
     #[inline(always)]
     pub fn sum<S: Simd>(&mut self, simd: S, n_columns: usize, u: &[f64], v: &[f64], previous: Previous) {
         let n_sums = Self::sum_count(n_columns);
-        self.tiles.resize(n_sums + 1, 0.0);
+        self.tiles.make_room(n_sums + 1);
         self.tiles[n_sums] = 0.0;
         // A function of its own, whose code is there once and not in every caller.
         simd.vectorize(Sum { n_columns, u, v, previous, tiles: &mut self.tiles });

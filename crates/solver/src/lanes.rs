@@ -48,14 +48,15 @@ impl<S: Simd> Lanes<S> {
     #[inline(always)]
     pub fn to_array(self) -> [f64; MAX_LANES] {
         let mut array = [0.0; MAX_LANES];
-        self.simd.partial_store_f64s(&mut array[..Self::COUNT], self.value);
+        // Whole registers: partial loads and stores go through a table of masks.
+        S::as_mut_simd_f64s(&mut array[..Self::COUNT]).0[0] = self.value;
         array
     }
 
     /// Returns the lanes `array`, of which the first [`COUNT`](Self::COUNT) count.
     #[inline(always)]
     pub fn from_array(simd: S, array: &[f64; MAX_LANES]) -> Self {
-        Self { simd, value: simd.partial_load_f64s(&array[..Self::COUNT]) }
+        Self { simd, value: S::as_simd_f64s(&array[..Self::COUNT]).0[0] }
     }
 
     /// Returns the sum of all lanes, in an order that depends on their number only.

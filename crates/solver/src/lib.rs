@@ -6,6 +6,7 @@
 //!
 //! Architecture invariant: the solver does not know what a camera is.
 
+mod aligned;
 mod checkpoint;
 mod composite;
 mod covariance;
@@ -31,6 +32,7 @@ mod step;
 mod stop;
 mod structure;
 
+pub use aligned::Aligned;
 pub use composite::{
     CompositeColumns, CompositeTerm, LinkMap, Links, MAX_LINKS, Weighed, expand_composite,
     linearize_composite,

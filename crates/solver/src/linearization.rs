@@ -228,16 +228,19 @@ impl Linearization {
                 continue;
             }
             sum.fill(0.0);
-            for chunk in &self.chunks {
-                match &chunk.signatures[idx] {
-                    SignatureSums::Plain(part) => add(sum, part),
-                    SignatureSums::Local(_) => {}
-                    SignatureSums::Composite(part) if part.is_empty() => {}
-                    SignatureSums::Composite(part) => {
-                        if let Some(place) = &structure.signatures[idx].composite {
-                            part.add_to(place, sum);
-                        }
+            if let Some(place) = &signature.composite {
+                let mut total = CompositeSums::new(place);
+                for chunk in &self.chunks {
+                    if let SignatureSums::Composite(part) = &chunk.signatures[idx] {
+                        total.add(part);
                     }
+                }
+                total.add_to(place, sum);
+                continue;
+            }
+            for chunk in &self.chunks {
+                if let SignatureSums::Plain(part) = &chunk.signatures[idx] {
+                    add(sum, part);
                 }
             }
         }
@@ -533,7 +536,7 @@ fn put(run: &CouplingRun, target: &mut [f64], parts: &[f64]) {
 }
 
 #[inline(always)]
-fn add(sums: &mut [f64], parts: &[f64]) {
+pub(crate) fn add(sums: &mut [f64], parts: &[f64]) {
     for (sum, part) in sums.iter_mut().zip(parts) {
         *sum += part;
     }

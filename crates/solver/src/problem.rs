@@ -5,6 +5,7 @@ use std::ops::Range;
 use boresight_geometry::{Pose, UnitQuaternion, Vector3, Vector6, nalgebra::Quaternion};
 
 use crate::Error;
+use crate::aligned::Aligned;
 use crate::composite::{CompositeTerm, Links};
 use crate::gram::PairGram;
 use crate::local::LocalTerm;
@@ -297,15 +298,15 @@ impl<'a> GramMut<'a> {
 #[derive(Debug, Default)]
 pub struct Scratch {
     /// Rows of `[J r]`, wherever the term wants them.
-    pub rows: Vec<f64>,
+    pub rows: Aligned,
     /// Sums of products.
     pub gram: PairGram,
     /// The maps of a chain's links.
     pub links: Links,
     /// Rows of the composite pose.
-    pub(crate) pose_rows: Vec<f64>,
+    pub(crate) pose_rows: Aligned,
     /// Rows of a link.
-    pub(crate) link_rows: Vec<f64>,
+    pub(crate) link_rows: Aligned,
 }
 
 /// Parameters and terms: a sum of squares to be made least.

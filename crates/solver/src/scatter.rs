@@ -3,7 +3,7 @@
 use pulp::Simd;
 
 use crate::linearization::SIDE;
-use crate::step::{COLUMNS, PANEL};
+use crate::step::{COLUMNS, Panel};
 use crate::structure::Group;
 
 /// Adds `Yᵀ Y` to the entries of the lower triangle by columns, at the places that the pattern tells.
@@ -14,7 +14,7 @@ pub(crate) fn add_outer_sparse<S: Simd>(
     simd: S,
     group: &Group,
     places: &[u32],
-    y: &[f64],
+    y: &[Panel],
     entries: &mut [f64],
 ) {
     let mut next_place = 0;
@@ -22,10 +22,10 @@ pub(crate) fn add_outer_sparse<S: Simd>(
     for (run_idx, &(_, _, length)) in group.runs.iter().enumerate() {
         let n_panels = length.div_ceil(COLUMNS);
         for row in 0..length {
-            let panel = &y[(first_panel + row / COLUMNS) * PANEL..][..PANEL];
+            let panel = &y[first_panel + row / COLUMNS];
             let mut factors = [simd.splat_f64s(0.0); SIDE];
-            for (k, factor) in factors.iter_mut().enumerate() {
-                *factor = simd.splat_f64s(panel[k * COLUMNS + row % COLUMNS]);
+            for (factor, row_of_panel) in factors.iter_mut().zip(&panel.0) {
+                *factor = simd.splat_f64s(row_of_panel[row % COLUMNS]);
             }
             // The column's own run, from the diagonal on: what is left of it in its panel is left out.
             let mut place = places[next_place] as usize;
@@ -38,7 +38,7 @@ pub(crate) fn add_outer_sparse<S: Simd>(
             }
             place += COLUMNS - skipped;
             for panel_idx in row / COLUMNS + 1..n_panels {
-                let panel = &y[(first_panel + panel_idx) * PANEL..][..PANEL];
+                let panel = &y[first_panel + panel_idx];
                 add_panel(simd, &factors, panel, &mut entries[place..place + COLUMNS]);
                 place += COLUMNS;
             }
@@ -47,7 +47,7 @@ pub(crate) fn add_outer_sparse<S: Simd>(
                 let mut place = places[next_place] as usize;
                 next_place += 1;
                 for _ in 0..length.div_ceil(COLUMNS) {
-                    let panel = &y[panel_idx * PANEL..][..PANEL];
+                    let panel = &y[panel_idx];
                     add_panel(simd, &factors, panel, &mut entries[place..place + COLUMNS]);
                     panel_idx += 1;
                     place += COLUMNS;
@@ -60,8 +60,8 @@ pub(crate) fn add_outer_sparse<S: Simd>(
 
 /// Adds the products of one column with the columns of a panel.
 #[inline(always)]
-fn add_panel<S: Simd>(simd: S, factors: &[S::f64s; SIDE], panel: &[f64], entries: &mut [f64]) {
-    let (vectors, _) = S::as_simd_f64s(panel);
+fn add_panel<S: Simd>(simd: S, factors: &[S::f64s; SIDE], panel: &Panel, entries: &mut [f64]) {
+    let (vectors, _) = S::as_simd_f64s(panel.0.as_flattened());
     let (targets, _) = S::as_mut_simd_f64s(entries);
     let n_parts = vectors.len() / SIDE;
     for (part, target) in targets.iter_mut().enumerate() {

@@ -2,6 +2,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
+use crate::aligned::Aligned;
 use crate::linearization::{GroupSums, Linearization, SIDE, Threads};
 use crate::problem::Problem;
 use crate::reduced::Reduced;
@@ -23,10 +24,10 @@ pub(crate) struct StepSolver {
 #[derive(Debug, Default)]
 struct PartialSum {
     /// The upper triangle, row by row, [`row_stride`] apart.
-    matrix: Vec<f64>,
+    matrix: Aligned,
     gradient: Vec<f64>,
-    /// The group's coupling after forward substitution, in panels.
-    solved: Vec<f64>,
+    /// The coupling after forward substitution, of the groups that wait to be multiplied.
+    solved: Vec<Panel>,
     failed: bool,
     /// The steps of the eliminated blocks, and what they add to the predicted decrease.
     steps: Vec<[f64; SIDE]>,
@@ -38,16 +39,11 @@ type Triangle = [[f64; SIDE]; SIDE];
 impl StepSolver {
     pub(crate) fn new(structure: &Structure) -> Self {
         let n = structure.n_reduced;
+        let n_entries = structure.sparse.as_ref().map_or(n * row_stride(n), |p| p.n_entries() + COLUMNS);
         let partial_sum = |_| PartialSum {
-            matrix: vec![
-                0.0;
-                structure.sparse.as_ref().map_or(n * row_stride(n), |p| p.n_entries() + COLUMNS)
-            ],
+            matrix: Aligned::zeros(n_entries),
             gradient: vec![0.0; row_stride(n)],
-            solved: Vec::new(),
-            failed: false,
-            steps: Vec::new(),
-            decrease: 0.0,
+            ..Default::default()
         };
         Self {
             arch: Arch::new(),
@@ -84,7 +80,7 @@ impl StepSolver {
         if self.partial_sums.iter().any(|sum| sum.failed) {
             return false;
         }
-        let parts = self.partial_sums.iter().map(|sum| (sum.matrix.as_slice(), sum.gradient.as_slice()));
+        let parts = self.partial_sums.iter().map(|sum| (&*sum.matrix, sum.gradient.as_slice()));
         self.reduced.assemble(structure, &model.reduced, damping, parts);
         self.reduced.factor()
     }
@@ -206,7 +202,8 @@ impl WithSimd for Eliminate<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { places, stride, groups, sums, damping, into } = self;
         into.failed = false;
-        into.matrix.fill(0.0);
+        let matrix = &mut *into.matrix;
+        matrix.fill(0.0);
         into.gradient.fill(0.0);
         let mut waiting: Option<&Group> = None;
         into.solved.clear();
@@ -217,9 +214,9 @@ impl WithSimd for Eliminate<'_> {
             // Groups with the same columns are subtracted together, while the rows are in the nearest cache.
             if let Some(first) = waiting
                 && (first.columns != group.columns
-                    || into.solved.len() >= TOGETHER * first.panel_count() * PANEL)
+                    || into.solved.len() >= TOGETHER * first.panel_count())
             {
-                add_outer(simd, stride, first, &into.solved, &mut into.matrix);
+                add_outer(simd, stride, first, &into.solved, matrix);
                 into.solved.clear();
             }
             waiting = Some(group);
@@ -233,13 +230,13 @@ impl WithSimd for Eliminate<'_> {
             solve_coupling(simd, group, sums, &lower, &mut into.solved);
             add_gradient(simd, group, &into.solved[before..], &gradient, &mut into.gradient);
             if let Some(places) = places {
-                add_outer_sparse(simd, group, &places[idx], &into.solved, &mut into.matrix);
+                add_outer_sparse(simd, group, &places[idx], &into.solved, matrix);
                 into.solved.clear();
                 waiting = None;
             }
         }
         if let Some(first) = waiting {
-            add_outer(simd, stride, first, &into.solved, &mut into.matrix);
+            add_outer(simd, stride, first, &into.solved, matrix);
         }
     }
 }
@@ -313,8 +310,10 @@ impl Group {
 /// Columns of a coupling are taken eight at a time, whatever the machine's registers hold.
 pub(crate) const COLUMNS: usize = 8;
 
-/// The numbers of eight columns: `SIDE` rows of them.
-pub(crate) const PANEL: usize = SIDE * COLUMNS;
+/// Eight columns of a coupling, row by row; each row is a cache line.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(align(64))]
+pub(crate) struct Panel(pub [[f64; COLUMNS]; SIDE]);
 
 /// Appends `Y = L⁻¹ W` in panels: each run of columns begins a new one, and its last is filled up with zeros.
 #[inline(always)]
@@ -323,24 +322,24 @@ fn solve_coupling<S: Simd>(
     group: &Group,
     sums: &GroupSums,
     lower: &Triangle,
-    solved: &mut Vec<f64>,
+    solved: &mut Vec<Panel>,
 ) {
     let n_coupled = group.columns.len();
     for &(place, _, length) in &group.runs {
         let mut first = 0;
         while first < length {
             let n = (length - first).min(COLUMNS);
-            let mut panel = [0.0; PANEL];
+            let mut panel = Panel::default();
             for k in 0..SIDE {
                 let row = &sums.coupling[k * n_coupled + place + first..];
-                let into = &mut panel[k * COLUMNS..(k + 1) * COLUMNS];
+                let into = &mut panel.0[k];
                 // Most panels are full, and a copy of known length is two instructions instead of a call.
                 match row.first_chunk::<COLUMNS>() {
                     Some(full) if n == COLUMNS => into.copy_from_slice(full),
                     _ => into[..n].copy_from_slice(&row[..n]),
                 }
             }
-            let (vectors, _) = S::as_mut_simd_f64s(&mut panel);
+            let (vectors, _) = S::as_mut_simd_f64s(panel.0.as_flattened_mut());
             let n_parts = vectors.len() / SIDE;
             for part in 0..n_parts {
                 for i in 0..SIDE {
@@ -355,7 +354,7 @@ fn solve_coupling<S: Simd>(
                     vectors[i * n_parts + part] = simd.mul_f64s(x, simd.splat_f64s(lower[i][i]));
                 }
             }
-            solved.extend_from_slice(&panel);
+            solved.push(panel);
             first += COLUMNS;
         }
     }
@@ -363,13 +362,13 @@ fn solve_coupling<S: Simd>(
 
 /// Adds `Yᵀ L⁻¹ g`.
 #[inline(always)]
-fn add_gradient<S: Simd>(simd: S, group: &Group, y: &[f64], gradient: &[f64; SIDE], sums: &mut [f64]) {
-    let mut panels = y.chunks_exact(PANEL);
+fn add_gradient<S: Simd>(simd: S, group: &Group, y: &[Panel], gradient: &[f64; SIDE], sums: &mut [f64]) {
+    let mut panels = y.iter();
     for &(_, column, length) in &group.runs {
         let targets = sums[column..].chunks_mut(COLUMNS).take(length.div_ceil(COLUMNS));
         for (target, panel) in targets.zip(&mut panels) {
             let (target, _) = S::as_mut_simd_f64s(target);
-            let (vectors, _) = S::as_simd_f64s(panel);
+            let (vectors, _) = S::as_simd_f64s(panel.0.as_flattened());
             let n_parts = vectors.len() / SIDE;
             for (part, target) in target.iter_mut().enumerate() {
                 for k in 0..SIDE {
@@ -386,9 +385,9 @@ fn add_gradient<S: Simd>(simd: S, group: &Group, y: &[f64], gradient: &[f64; SID
 /// Panels begin left of the diagonal and end right of their run; what they add there is never read
 /// or zero.
 #[inline(always)]
-fn add_outer<S: Simd>(simd: S, stride: usize, group: &Group, ys: &[f64], matrix: &mut [f64]) {
-    let n_numbers = group.panel_count() * PANEL;
-    if n_numbers == 0 {
+fn add_outer<S: Simd>(simd: S, stride: usize, group: &Group, ys: &[Panel], matrix: &mut [f64]) {
+    let n_panels = group.panel_count();
+    if n_panels == 0 {
         return;
     }
     let mut first_panel = 0;
@@ -399,7 +398,7 @@ fn add_outer<S: Simd>(simd: S, stride: usize, group: &Group, ys: &[f64], matrix:
         if S::REGISTER_COUNT >= 32 {
             while row + 4 <= length {
                 let rows = &mut matrix[(column + row) * stride..(column + row + 4) * stride];
-                for y in ys.chunks_exact(n_numbers) {
+                for y in ys.chunks_exact(n_panels) {
                     add_rows::<S, 4>(simd, stride, runs, y, first_panel, row, rows);
                 }
                 row += 4;
@@ -407,7 +406,7 @@ fn add_outer<S: Simd>(simd: S, stride: usize, group: &Group, ys: &[f64], matrix:
         }
         while row < length {
             let rows = &mut matrix[(column + row) * stride..(column + row + 1) * stride];
-            for y in ys.chunks_exact(n_numbers) {
+            for y in ys.chunks_exact(n_panels) {
                 add_rows::<S, 1>(simd, stride, runs, y, first_panel, row, rows);
             }
             row += 1;
@@ -422,16 +421,16 @@ fn add_rows<S: Simd, const R: usize>(
     simd: S,
     stride: usize,
     runs: &[(usize, usize, usize)],
-    y: &[f64],
+    y: &[Panel],
     first_panel: usize,
     row: usize,
     rows: &mut [f64],
 ) {
     let mut factors = [[simd.splat_f64s(0.0); SIDE]; R];
     for (r, factors) in factors.iter_mut().enumerate() {
-        let panel = &y[(first_panel + (row + r) / COLUMNS) * PANEL..][..PANEL];
-        for (k, factor) in factors.iter_mut().enumerate() {
-            *factor = simd.splat_f64s(panel[k * COLUMNS + (row + r) % COLUMNS]);
+        let panel = &y[first_panel + (row + r) / COLUMNS];
+        for (factor, row_of_panel) in factors.iter_mut().zip(&panel.0) {
+            *factor = simd.splat_f64s(row_of_panel[(row + r) % COLUMNS]);
         }
     }
     let mut panel_idx = first_panel + row / COLUMNS;
@@ -440,7 +439,7 @@ fn add_rows<S: Simd, const R: usize>(
         let skipped = if run_idx == 0 { row / COLUMNS } else { 0 };
         let mut target = column + skipped * COLUMNS;
         for _ in skipped..length.div_ceil(COLUMNS) {
-            let (vectors, _) = S::as_simd_f64s(&y[panel_idx * PANEL..(panel_idx + 1) * PANEL]);
+            let (vectors, _) = S::as_simd_f64s(y[panel_idx].0.as_flattened());
             let n_parts = vectors.len() / SIDE;
             for part in 0..n_parts {
                 let at = target + part * S::F64_LANES;
@@ -465,7 +464,8 @@ fn add_rows<S: Simd, const R: usize>(
     }
 }
 
-/// Returns the distance of rows in a partial sum of `n` columns: panels may end up to seven columns further.
+/// Returns the distance of rows in a partial sum of `n` columns: panels may end up to seven columns
+/// further, and each row begins a cache line.
 pub(crate) fn row_stride(n: usize) -> usize {
-    n + COLUMNS
+    (n + COLUMNS).next_multiple_of(COLUMNS)
 }

@@ -21,11 +21,16 @@ use boresight_solver::{
 };
 
 use self::gradient::SumGradient;
-use super::{BLOCK, Context, MAX_SHAPE, Reprojection, Weights, load, n_row_columns};
+use super::{
+    BLOCK, Context, FIRST_LENS_COLUMN, MAX_SHAPE, Reprojection, load, n_row_columns, write_geometry,
+};
 use crate::options::Loss;
 
 /// The core is all that a point depends on besides its knots.
 const CORE: usize = 4;
+
+/// The columns of a row after the core are those of the shape, the pose and the residual.
+const FIRST_SHAPE_COLUMN: usize = FIRST_LENS_COLUMN;
 
 /// Knots this much of a cell beyond those that a point touches count as touched, so that small steps
 /// stay within the support.
@@ -387,10 +392,10 @@ fn accumulate<M: CameraModel, S: Simd, const SHAPE: usize, const SIDE: usize>(
     let room = POINTS_AT_ONCE / S::F64_LANES * stride * S::F64_LANES;
     let n_knot_sums = rectangle.n_rows * rectangle.n_columns * PER_KNOT;
     let rows = &mut scratch.rows;
-    rows.clear();
-    rows.resize(2 * room + n_knot_sums, 0.0);
+    rows.make_room(2 * room + n_knot_sums);
     let (u_rows, rest) = rows.split_at_mut(room);
     let (v_rows, knots) = rest.split_at_mut(room);
+    knots.fill(0.0);
     let n_in_chunk = stride * S::F64_LANES;
     let [knots_start, cells_start] = grid.starts();
     let n_points = term.points.n_points;
@@ -469,83 +474,25 @@ impl<M: CameraModel> Context<'_, M> {
         rows: [&mut [S::f64s]; 2],
         loss: &mut f64,
     ) -> Option<(LocalLinear<Lanes<S>>, Lanes<S>)> {
-        let Self { model, term, lens, by_focal, rotation, translation, shape } = self;
+        let Self { model, term, lens, by_focal, rotation, .. } = self;
         let zero = Lanes::splat(simd, 0.0);
-        let axes = &term.points.axes;
-        let (x, y, mut z) =
-            (load(simd, &axes[0], point), load(simd, &axes[1], point), load(simd, &axes[2], point));
-        let mut basis = [zero; SHAPE];
-        for j in 0..SHAPE {
-            basis[j] = load(simd, &axes[3 + j], point);
-            z = basis[j].mul_add(zero.like(shape[j]), z);
-        }
-        let mut p = [zero; 3];
-        for i in 0..3 {
-            let along_z = z.mul_add(zero.like(rotation[(i, 2)]), zero.like(translation[i]));
-            let along_y = y.mul_add(zero.like(rotation[(i, 1)]), along_z);
-            p[i] = x.mul_add(zero.like(rotation[(i, 0)]), along_y);
-        }
+        let (p, basis) = self.place::<S, SHAPE>(simd, point);
         let linear = model.linearize_locally(lens, p)?;
-        let mut scale = self.inverse_sigmas(simd, point);
+        let mut scale = self.weights(simd, point, term.weights.uniform());
         let mut residuals = [
-            (linear.pixel[0] - load(simd, &term.pixels[0], point)) * scale,
-            (linear.pixel[1] - load(simd, &term.pixels[1], point)) * scale,
+            linear.pixel[0] - load(simd, &term.pixels[0], point),
+            linear.pixel[1] - load(simd, &term.pixels[1], point),
         ];
-        if let Loss::Cauchy { sigmas } = term.loss {
-            // As in the other rows: ρ(s) = c² ln(1 + s/c²), whose weight is 1 / (1 + s/c²).
-            let square = residuals[0].mul_add(residuals[0], residuals[1] * residuals[1]);
-            let one_more = square.scale(1.0 / (sigmas * sigmas)) + zero.like(1.0);
-            let by_root = zero.like(1.0) / one_more.sqrt();
-            for lane in 0..S::F64_LANES {
-                *loss += sigmas * sigmas * one_more.to_array()[lane].ln();
-            }
-            scale = scale * by_root;
-            residuals = [residuals[0] * by_root, residuals[1] * by_root];
-        }
+        *loss += self.weigh(&mut scale, &mut residuals);
         for (row, columns) in rows.into_iter().enumerate() {
             let [a, b, c] = linear.d_point[row];
             let (a, b, c) = (a * scale, b * scale, c * scale);
             let by_focal = (linear.pixel[row] - zero.like(lens[2 + row])).scale(by_focal[row]);
             columns[0] = (by_focal * scale).value;
             columns[1] = scale.value;
-            // A left perturbation (w, v) moves the point by w × p + v, so w counts by p × gradient.
-            columns[2] = (p[1] * c - p[2] * b).value;
-            columns[3] = (p[2] * a - p[0] * c).value;
-            columns[4] = (p[0] * b - p[1] * a).value;
-            (columns[5], columns[6], columns[7]) = (a.value, b.value, c.value);
-            let rest = &mut columns[super::FIRST_LENS_COLUMN..];
-            if SHAPE > 0 {
-                let along_z = a.mul_add(
-                    zero.like(rotation[(0, 2)]),
-                    b.mul_add(zero.like(rotation[(1, 2)]), c * zero.like(rotation[(2, 2)])),
-                );
-                for j in 0..SHAPE {
-                    rest[j] = (along_z * basis[j]).value;
-                }
-            }
-            rest[SHAPE] = residuals[row].value;
-            for rest in &mut rest[SHAPE + 1..] {
-                *rest = zero.value;
-            }
+            write_geometry(rotation, &p, [a, b, c], &basis, residuals[row], &mut columns[FIRST_SHAPE_COLUMN..]);
         }
         Some((linear, scale))
-    }
-
-    /// Returns the inverse sigmas of a chunk; zero in the padding.
-    #[inline(always)]
-    fn inverse_sigmas<S: Simd>(&self, simd: S, point: usize) -> Lanes<S> {
-        match &self.term.weights {
-            Weights::Each(weights) => load(simd, weights, point),
-            Weights::Uniform(weight) => {
-                let n_left = self.term.points.n_points - point;
-                if n_left >= S::F64_LANES {
-                    return Lanes::splat(simd, *weight);
-                }
-                let mut weights = [0.0; MAX_LANES];
-                weights[..n_left].fill(*weight);
-                Lanes::from_array(simd, &weights)
-            }
-        }
     }
 }
 
@@ -586,12 +533,12 @@ impl<S: Simd> LocalRows<'_, S> {
             let row = |column: usize| Lanes::new(simd, rows[column]) * by_axis[axis];
             let first = if axis == 0 { BY_U } else { BY_V };
             for k in 0..6 {
-                transpose(first + k, row(super::FIRST_POSE_COLUMN + k));
+                transpose(first + k, row(FIRST_SHAPE_COLUMN + SHAPE + k));
             }
             for j in 0..SHAPE {
-                transpose(first + BY_SHAPE + j, row(super::FIRST_LENS_COLUMN + j));
+                transpose(first + BY_SHAPE + j, row(FIRST_SHAPE_COLUMN + j));
             }
-            transpose(BY_RESIDUAL + axis, row(super::FIRST_LENS_COLUMN + SHAPE));
+            transpose(BY_RESIDUAL + axis, row(FIRST_SHAPE_COLUMN + SHAPE + 6));
             transpose(BY_FOCAL + axis, row(0));
             transpose(BY_CENTRE + axis, row(1));
         }

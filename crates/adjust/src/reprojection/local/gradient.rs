@@ -6,11 +6,9 @@ use boresight_solver::lanes::{Lanes, MAX_LANES};
 use boresight_solver::pulp::{Simd, WithSimd};
 use boresight_solver::{Scratch, Values};
 
-use super::{CORE, Grid, map_row};
+use super::{CORE, FIRST_SHAPE_COLUMN, Grid, map_row};
 use crate::options::Loss;
-use crate::reprojection::{
-    BLOCK, Context, FIRST_LENS_COLUMN, FIRST_POSE_COLUMN, MAX_SHAPE, Reprojection, n_row_columns,
-};
+use crate::reprojection::{BLOCK, Context, MAX_SHAPE, Reprojection, n_row_columns};
 
 /// Sums the gradient of a view, and returns its cost.
 pub(super) struct SumGradient<'a> {
@@ -72,8 +70,7 @@ fn sum<M: CameraModel, S: Simd, const SHAPE: usize, const SIDE: usize>(
     };
     let n_columns = n_row_columns(CORE, SHAPE);
     let stride = n_columns.next_multiple_of(BLOCK);
-    scratch.rows.clear();
-    scratch.rows.resize(2 * stride * S::F64_LANES, 0.0);
+    scratch.rows.make_room(2 * stride * S::F64_LANES);
     let (u, v) = scratch.rows.split_at_mut(stride * S::F64_LANES);
     let (u, _) = S::as_mut_simd_f64s(u);
     let (v, _) = S::as_mut_simd_f64s(v);
@@ -87,20 +84,20 @@ fn sum<M: CameraModel, S: Simd, const SHAPE: usize, const SIDE: usize>(
     let mut point = 0;
     while point < n_points {
         let (linear, scale) = context.write_common::<S, SHAPE>(simd, point, [u, v], &mut loss)?;
-        let by_u = Lanes::new(simd, u[FIRST_LENS_COLUMN + SHAPE]);
-        let by_v = Lanes::new(simd, v[FIRST_LENS_COLUMN + SHAPE]);
+        let by_u = Lanes::new(simd, u[FIRST_SHAPE_COLUMN + SHAPE + 6]);
+        let by_v = Lanes::new(simd, v[FIRST_SHAPE_COLUMN + SHAPE + 6]);
         squares = by_u.mul_add(by_u, by_v.mul_add(by_v, squares));
         core[0] = Lanes::new(simd, u[0]).mul_add(by_u, core[0]);
         core[1] = Lanes::new(simd, v[0]).mul_add(by_v, core[1]);
         core[2] = Lanes::new(simd, u[1]).mul_add(by_u, core[2]);
         core[3] = Lanes::new(simd, v[1]).mul_add(by_v, core[3]);
         for k in 0..6 {
-            let along_u = Lanes::new(simd, u[FIRST_POSE_COLUMN + k]).mul_add(by_u, pose[k]);
-            pose[k] = Lanes::new(simd, v[FIRST_POSE_COLUMN + k]).mul_add(by_v, along_u);
+            let along_u = Lanes::new(simd, u[FIRST_SHAPE_COLUMN + SHAPE + k]).mul_add(by_u, pose[k]);
+            pose[k] = Lanes::new(simd, v[FIRST_SHAPE_COLUMN + SHAPE + k]).mul_add(by_v, along_u);
         }
         for j in 0..SHAPE {
-            let along_u = Lanes::new(simd, u[FIRST_LENS_COLUMN + j]).mul_add(by_u, shape[j]);
-            shape[j] = Lanes::new(simd, v[FIRST_LENS_COLUMN + j]).mul_add(by_v, along_u);
+            let along_u = Lanes::new(simd, u[FIRST_SHAPE_COLUMN + j]).mul_add(by_u, shape[j]);
+            shape[j] = Lanes::new(simd, v[FIRST_SHAPE_COLUMN + j]).mul_add(by_v, along_u);
         }
         let knot_u = (by_u * scale).scale(lens[0]).to_array();
         let knot_v = (by_v * scale).scale(lens[1]).to_array();
