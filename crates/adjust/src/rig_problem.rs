@@ -180,17 +180,24 @@ impl RigProblem {
 
     fn add_regularization(&mut self, dataset: &Dataset, scene: &Scene, options: &AdjustOptions) {
         // What an earlier calibration says contains its regularisation already.
-        let is_believed = |camera: CameraId, column: usize| {
-            let quantities = options.priors.iter().flat_map(|prior| &prior.quantities);
-            { quantities }.any(|quantity| {
-                matches!(quantity, Quantity::LensParam(id, param, _) if (*id, *param) == (camera, column))
+        let quantities = options.priors.iter().flat_map(|prior| &prior.quantities);
+        let believed: BTreeSet<(BlockId, usize)> = quantities
+            .filter_map(|quantity| match quantity {
+                Quantity::LensParam(id, param, _) => Some((self.cameras.get(*id)?.as_ref()?.lens, *param)),
+                _ => None,
             })
-        };
+            .collect();
+        // A lens that cameras share counts once.
+        let mut done = BTreeSet::new();
         let n_cameras = self.cameras.iter().flatten().count();
         let n_rows: usize =
             self.views.iter().map(|(view_idx, _)| 2 * dataset.views[*view_idx].observations.len()).sum();
-        for ((id, blocks), camera) in self.cameras.enumerate().zip(&scene.rig.cameras) {
+        for (blocks, camera) in self.cameras.iter().zip(&scene.rig.cameras) {
             let (Some(blocks), Some(camera)) = (blocks, camera) else { continue };
+            if !done.insert(blocks.lens) {
+                continue;
+            }
+            let is_open = |column: usize| !believed.contains(&(blocks.lens, column));
             let camera = &camera.camera;
             if let Some(grid) = camera.model.local_support() {
                 let mut beliefs = match options.regularization {
@@ -202,11 +209,10 @@ impl RigProblem {
                 };
                 // mrcal has these rows for parameters that it solves for, so that others cost nothing.
                 beliefs.retain(|belief| {
-                    belief.factors.iter().any(|&(column, _)| !self.parameters.is_held(blocks.lens, column))
+                    let mut columns = belief.factors.iter().map(|&(column, _)| column);
+                    columns.any(|column| is_open(column) && !self.parameters.is_held(blocks.lens, column))
                 });
-                if !self.sparse_priors.iter().any(|prior| prior.blocks() == [blocks.lens]) {
-                    self.sparse_priors.push(SparsePrior::new(blocks.lens, camera.params.len(), beliefs));
-                }
+                self.sparse_priors.push(SparsePrior::new(blocks.lens, camera.params.len(), beliefs));
                 continue;
             }
             let mut rows = match options.regularization {
@@ -218,9 +224,8 @@ impl RigProblem {
                     mrcal22_rows(n_rows, n_cameras, n_params, is_rational, camera.image_size)
                 }
             };
-            rows.retain(|(column, ..)| !is_believed(id, *column));
-            let is_shared = self.priors.iter().any(|prior| prior.blocks() == [blocks.lens]);
-            if !rows.is_empty() && !is_shared {
+            rows.retain(|(column, ..)| is_open(*column));
+            if !rows.is_empty() {
                 self.priors.push(VectorPrior::new(blocks.lens, rows));
             }
         }

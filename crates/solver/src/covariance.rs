@@ -75,7 +75,9 @@ fn covariance_of(
         limit: LEAST_RECIPROCAL_CONDITION,
         columns: dominant(&direction, &structure.natural_columns),
     };
-    let factored = steps.factor(&structure, &model, 0.0, &threads);
+    let is_eliminated = steps.eliminate(&structure, &model, 0.0, &threads);
+    let largest = steps.reduced.eigenvalue_bound();
+    let factored = is_eliminated && steps.reduced.factor();
     let lost = steps.reduced.lost_columns(&model.reduced, LOST_SHARE);
     if !lost.is_empty() {
         let mut direction = vec![0.0; structure.n_reduced];
@@ -91,7 +93,8 @@ fn covariance_of(
         };
         return Err(singular(0.0, direction));
     }
-    let (reciprocal_condition, direction) = steps.reduced.loosest_direction();
+    let (smallest, direction) = steps.reduced.loosest_direction();
+    let reciprocal_condition = smallest / largest;
     // NaN is no condition either.
     let conditioned = reciprocal_condition > LEAST_RECIPROCAL_CONDITION;
     if structure.n_reduced > 0 && !conditioned {

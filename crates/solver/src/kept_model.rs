@@ -5,12 +5,12 @@
 //! the rows' second derivatives times their residuals, which Gauss and Newton leave out - is learnt from
 //! how gradients change: limited-memory BFGS (Nocedal 1980) that starts from the factored model.
 
-use crate::linearization::{Linearization, SIDE};
+use crate::linearization::{Linearization, SIDE, Threads};
 use crate::problem::Problem;
-use crate::step::{StepSolver, backward, cholesky, damped, forward};
-use crate::structure::{HELD, Structure};
+use crate::step::StepSolver;
+use crate::structure::Structure;
 
-/// Steps after which a new model is made.
+/// Steps to learn from, after which a new model is made.
 const MAX_PAIRS: usize = 12;
 
 /// A step is good, and the model kept, if the cost falls by this share of what was predicted.
@@ -19,8 +19,6 @@ const LEAST_GAIN: f64 = 0.25;
 /// A search along a kept model.
 #[derive(Debug)]
 pub(crate) struct KeptModel {
-    /// The damping that the model was factored with.
-    damping: f64,
     /// Where the search is, by all tangent columns.
     gradient: Vec<f64>,
     /// The cost there.
@@ -38,24 +36,27 @@ struct Pair {
 
 impl KeptModel {
     /// Returns a search that stands where the model was made.
-    pub(crate) fn new(structure: &Structure, model: &Linearization, damping: f64) -> Self {
+    pub(crate) fn new(structure: &Structure, model: &Linearization) -> Self {
         let mut gradient = vec![0.0; structure.n_columns];
-        for (&first, columns) in structure.first_column.iter().zip(&structure.reduced_columns) {
-            for (k, &column) in columns.iter().enumerate().filter(|&(_, &column)| column != HELD) {
-                gradient[first + k] = model.reduced.gradient[column as usize];
-            }
+        for (full, column) in structure.each_reduced() {
+            gradient[full] = model.reduced.gradient[column];
         }
         for (group, sums) in structure.groups.iter().zip(model.groups()) {
             if let Some(block) = group.eliminated {
                 gradient[structure.first_column[block]..][..SIDE].copy_from_slice(&sums.gradient);
             }
         }
-        Self { damping, gradient, cost: model.cost(), pairs: Vec::new() }
+        Self { gradient, cost: model.cost(), pairs: Vec::new() }
+    }
+
+    /// Tells whether there is no room to learn more.
+    pub(crate) fn is_full(&self) -> bool {
+        self.pairs.len() >= MAX_PAIRS
     }
 
     /// Moves on if `step`, of which `predicted` was expected, leads to a good `cost`; tells whether it does.
     pub(crate) fn accept(&mut self, step: &[f64], predicted: f64, cost: f64, gradient: &[f64]) -> bool {
-        let is_good = self.cost - cost > LEAST_GAIN * predicted && self.pairs.len() < MAX_PAIRS;
+        let is_good = self.cost - cost > LEAST_GAIN * predicted;
         if is_good {
             let change: Vec<f64> = gradient.iter().zip(&self.gradient).map(|(new, old)| new - old).collect();
             let product = dot(step, &change);
@@ -75,6 +76,7 @@ impl KeptModel {
         problem: &Problem<'_>,
         structure: &Structure,
         model: &Linearization,
+        threads: &Threads,
         steps: &mut StepSolver,
         step: &mut Vec<f64>,
     ) -> f64 {
@@ -86,7 +88,7 @@ impl KeptModel {
             add_scaled(step, -share, &pair.change);
             shares.push(share);
         }
-        steps.apply_inverse(problem, structure, model, self.damping, step);
+        steps.apply_inverse(problem, structure, model, threads, step);
         for (pair, share) in self.pairs.iter().zip(shares.iter().rev()) {
             let other = dot(&pair.change, step) / pair.product;
             add_scaled(step, share - other, &pair.step);
@@ -101,70 +103,4 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 fn add_scaled(sum: &mut [f64], factor: f64, part: &[f64]) {
     sum.iter_mut().zip(part).for_each(|(sum, part)| *sum += factor * part);
-}
-
-impl StepSolver {
-    /// Multiplies `x`, by all tangent columns, by the inverse of the factored model.
-    fn apply_inverse(
-        &mut self,
-        problem: &Problem<'_>,
-        structure: &Structure,
-        model: &Linearization,
-        damping: f64,
-        x: &mut [f64],
-    ) {
-        let mut reduced = vec![0.0; structure.n_reduced];
-        let columns = || structure.first_column.iter().zip(&structure.reduced_columns);
-        for (&first, columns) in columns() {
-            for (k, &column) in columns.iter().enumerate().filter(|&(_, &column)| column != HELD) {
-                reduced[column as usize] = x[first + k];
-            }
-        }
-        let mut triangles = Vec::with_capacity(structure.groups.len());
-        for (group, sums) in structure.groups.iter().zip(model.groups()) {
-            let block = group.eliminated.map(|block| structure.first_column[block]);
-            let Some((first, triangle)) = block.zip(cholesky(&damped(sums, damping))) else {
-                triangles.push(None);
-                continue;
-            };
-            let mut own = [0.0; SIDE];
-            own.copy_from_slice(&x[first..first + SIDE]);
-            forward(&triangle, &mut own);
-            backward(&triangle, &mut own);
-            let n = group.columns.len();
-            for &(place, column, length) in &group.runs {
-                for (k, own) in own.iter().enumerate() {
-                    add_scaled(
-                        &mut reduced[column..column + length],
-                        -own,
-                        &sums.coupling[k * n + place..][..length],
-                    );
-                }
-            }
-            triangles.push(Some((first, triangle)));
-        }
-        self.reduced.apply_inverse(&mut reduced);
-        for (&first, columns) in columns() {
-            for (k, &column) in columns.iter().enumerate() {
-                x[first + k] = if column == HELD { 0.0 } else { reduced[column as usize] };
-            }
-        }
-        for ((group, sums), triangle) in structure.groups.iter().zip(model.groups()).zip(triangles) {
-            let Some((first, triangle)) = triangle else { continue };
-            let n = group.columns.len();
-            let mut own = [0.0; SIDE];
-            own.copy_from_slice(&x[first..first + SIDE]);
-            for &(place, column, length) in &group.runs {
-                for (k, own) in own.iter_mut().enumerate() {
-                    *own -= dot(&sums.coupling[k * n + place..][..length], &reduced[column..column + length]);
-                }
-            }
-            forward(&triangle, &mut own);
-            backward(&triangle, &mut own);
-            let held = &problem.parameters.blocks[group.eliminated.unwrap_or_default()].held;
-            for (k, (own, held)) in own.into_iter().zip(held).enumerate() {
-                x[first + k] = if *held { 0.0 } else { own };
-            }
-        }
-    }
 }

@@ -147,9 +147,9 @@ impl<'a> LevenbergMarquardt<'a> {
             return Some(Err(Stop::Cancelled));
         }
         let below = self.least_decrease(problem);
-        let Self { structure, model, steps, .. } = self;
+        let Self { structure, model, threads, steps, .. } = self;
         let mut step = Vec::new();
-        let predicted = kept.step(problem, structure, model, steps, &mut step);
+        let predicted = kept.step(problem, structure, model, threads, steps, &mut step);
         // What is lost in the cost's rounding cannot be tried, but is as good as the steps before it.
         let lost = ROUNDING * kept.cost;
         let untried = below.max(lost);
@@ -191,11 +191,13 @@ impl<'a> LevenbergMarquardt<'a> {
     /// Takes one step, trying shorter ones until the cost falls, or finds why there is none.
     fn step(&mut self, problem: &Problem<'_>, values: &mut Vec<f64>) -> Result<f64, Stop> {
         if let Some(kept) = self.kept.take() {
-            if let Some(outcome) = self.step_along(problem, values, kept) {
-                return outcome;
+            if !kept.is_full() {
+                if let Some(outcome) = self.step_along(problem, values, kept) {
+                    return outcome;
+                }
+                self.counters.rejected_steps += 1;
+                self.gain = 0.0;
             }
-            self.counters.rejected_steps += 1;
-            self.gain = 0.0;
             // Where the gradient is defined, so is the model.
             if self.move_to(problem, values).is_err() {
                 return Err(Stop::NoStep { damping: self.damping, above: MOST_DAMPING });
@@ -228,7 +230,7 @@ impl<'a> LevenbergMarquardt<'a> {
                 }
                 self.counters.evaluations += 1;
                 if self.gain > KEEP_GAIN && predicted <= KEEP_BELOW * cost && structure.is_worth_keeping() {
-                    let mut kept = KeptModel::new(structure, model, self.damping);
+                    let mut kept = KeptModel::new(structure, model);
                     if gradient.evaluate(problem, structure, trial_values, threads, scratch)
                         && kept.accept(&steps.step, predicted, gradient.cost, &gradient.entries)
                     {

@@ -31,6 +31,7 @@ mod sparse_prior;
 mod step;
 mod stop;
 mod structure;
+mod substitution;
 
 pub use aligned::Aligned;
 pub use composite::{

@@ -211,8 +211,32 @@ impl Reduced {
         }
     }
 
-    /// Returns an estimate of the scaled system's reciprocal condition and its loosest direction,
-    /// by inverse iteration on the factor.
+    /// Returns a bound on the largest eigenvalue of the assembled system scaled to a unit diagonal: the
+    /// largest sum of a row's absolute entries.
+    pub(crate) fn eigenvalue_bound(&self) -> f64 {
+        let scale: Vec<f64> = self.diagonal.iter().map(|diagonal| 1.0 / diagonal.sqrt()).collect();
+        let mut sums = vec![1.0; self.n];
+        let mut add = |row: usize, column: usize, entry: f64| {
+            if row != column {
+                let entry = (entry * scale[row] * scale[column]).abs();
+                sums[row] += entry;
+                sums[column] += entry;
+            }
+        };
+        match &self.system {
+            System::Dense(matrix, _) => {
+                for column in 0..self.n {
+                    let entries = matrix.col_as_slice(column).iter().enumerate().skip(column);
+                    entries.for_each(|(row, &entry)| add(row, column, entry));
+                }
+            }
+            System::Sparse(system) => system.each_entry(add),
+        }
+        sums.into_iter().fold(1.0, f64::max)
+    }
+
+    /// Returns an estimate of the least eigenvalue of the factored system, which has a unit diagonal, and
+    /// its loosest direction, by inverse iteration on the factor.
     pub(crate) fn loosest_direction(&mut self) -> (f64, Vec<f64>) {
         let n = self.n;
         let mut direction: Vec<f64> = (0..n).map(|i| 1.0 + (i as f64 * 0.618_034).fract()).collect();
@@ -223,8 +247,7 @@ impl Reduced {
             self.system.solve(&mut direction);
             smallest = 1.0 / direction.iter().map(|x| x * x).sum::<f64>().sqrt();
         }
-        // The largest eigenvalue of a matrix with a unit diagonal is between one and its size.
-        (smallest / n as f64, direction)
+        (smallest, direction)
     }
 }
 

@@ -59,6 +59,17 @@ impl SparseSystem {
         self.lower.col_ptr()[column] as usize
     }
 
+    /// Calls `visit` with the row, the column and the value of each entry of the lower triangle.
+    pub(crate) fn each_entry(&self, mut visit: impl FnMut(usize, usize, f64)) {
+        let (starts, rows) = (self.lower.col_ptr(), self.lower.row_idx());
+        for (column, range) in starts.windows(2).enumerate() {
+            let range = range[0] as usize..range[1] as usize;
+            for (&value, &row) in self.values[range.clone()].iter().zip(&rows[range]) {
+                visit(row as usize, column, value);
+            }
+        }
+    }
+
     /// Multiplies each entry by the scales of its row and column.
     pub(crate) fn scale(&mut self, scale: &[f64]) {
         let (starts, rows) = (self.lower.col_ptr(), self.lower.row_idx());

@@ -7,12 +7,13 @@ use crate::linearization::{GroupSums, Linearization, SIDE, Threads};
 use crate::problem::Problem;
 use crate::reduced::Reduced;
 use crate::scatter::add_outer_sparse;
-use crate::structure::{Group, HELD, Structure};
+use crate::structure::{Group, Structure};
+use crate::substitution::{Right, Substitute, copy_free, eliminated};
 
 /// The room in which steps are worked out, and the last one.
 pub(crate) struct StepSolver {
-    arch: Arch,
-    partial_sums: Vec<PartialSum>,
+    pub(crate) arch: Arch,
+    pub(crate) partial_sums: Vec<PartialSum>,
     pub reduced: Reduced,
     /// The step by all tangent columns; zero for held ones.
     pub step: Vec<f64>,
@@ -22,19 +23,20 @@ pub(crate) struct StepSolver {
 
 /// What elimination subtracts from the reduced system, over one chunk of groups.
 #[derive(Debug, Default)]
-struct PartialSum {
+pub(crate) struct PartialSum {
     /// The upper triangle, row by row, [`row_stride`] apart.
     matrix: Aligned,
-    gradient: Vec<f64>,
+    pub(crate) gradient: Vec<f64>,
     /// The coupling after forward substitution, of the groups that wait to be multiplied.
     solved: Vec<Panel>,
     failed: bool,
-    /// The steps of the eliminated blocks, and what they add to the predicted decrease.
-    steps: Vec<[f64; SIDE]>,
-    decrease: f64,
+    /// The factors of the eliminated blocks' own matrices.
+    pub(crate) triangles: Vec<Triangle>,
+    /// What substitution found for the eliminated blocks.
+    pub(crate) found: Vec<[f64; SIDE]>,
 }
 
-type Triangle = [[f64; SIDE]; SIDE];
+pub(crate) type Triangle = [[f64; SIDE]; SIDE];
 
 impl StepSolver {
     pub(crate) fn new(structure: &Structure) -> Self {
@@ -62,6 +64,18 @@ impl StepSolver {
         damping: f64,
         threads: &Threads,
     ) -> bool {
+        self.eliminate(structure, model, damping, threads) && self.reduced.factor()
+    }
+
+    /// Assembles the reduced system of the model with `damping` times its diagonal added; tells whether
+    /// all that is eliminated is positive definite.
+    pub(crate) fn eliminate(
+        &mut self,
+        structure: &Structure,
+        model: &Linearization,
+        damping: f64,
+        threads: &Threads,
+    ) -> bool {
         let groups: Vec<&GroupSums> = model.groups().collect();
         let arch = self.arch;
         threads.for_each(&mut self.partial_sums, |idx, sum| {
@@ -82,7 +96,7 @@ impl StepSolver {
         }
         let parts = self.partial_sums.iter().map(|sum| (&*sum.matrix, sum.gradient.as_slice()));
         self.reduced.assemble(structure, &model.reduced, damping, parts);
-        self.reduced.factor()
+        true
     }
 
     /// Works out the step of the factored model and its predicted decrease.
@@ -102,25 +116,22 @@ impl StepSolver {
             let diagonal = model.reduced.damping[column];
             decrease += d * (damping * diagonal * d - model.reduced.gradient[column]);
         }
-        for (block, columns) in structure.reduced_columns.iter().enumerate() {
-            for (k, &column) in columns.iter().enumerate().filter(|&(_, &column)| column != HELD) {
-                self.step[structure.first_column[block] + k] = reduced_step[column as usize];
-            }
-        }
         let groups: Vec<&GroupSums> = model.groups().collect();
         let arch = self.arch;
         threads.for_each(&mut self.partial_sums, |idx, into| {
             let range = structure.schur_chunks[idx].clone();
             let (groups, sums) = (&structure.groups[range.clone()], &groups[range]);
-            arch.dispatch(Substitute { problem, groups, sums, reduced_step, damping, into });
+            arch.dispatch(Substitute { right: Right::LessGradient, groups, sums, reduced: reduced_step, into });
         });
-        for (range, sum) in structure.schur_chunks.iter().zip(&self.partial_sums) {
-            let blocks = structure.groups[range.clone()].iter().filter_map(|group| group.eliminated);
-            for (block, step) in blocks.zip(&sum.steps) {
-                let first = structure.first_column[block];
-                self.step[first..first + SIDE].copy_from_slice(step);
+        for (full, column) in structure.each_reduced() {
+            self.step[full] = reduced_step[column];
+        }
+        for (block, sums, found) in eliminated(structure, &groups, &self.partial_sums) {
+            let step = &mut self.step[structure.first_column[block]..][..SIDE];
+            copy_free(problem, block, found, step);
+            for (k, step) in step.iter().enumerate() {
+                decrease += step * (damping * damping_diagonal(sums.own[k][k]) * step - sums.gradient[k]);
             }
-            decrease += sum.decrease;
         }
         self.predicted_decrease = decrease;
     }
@@ -205,6 +216,7 @@ impl WithSimd for Eliminate<'_> {
         let matrix = &mut *into.matrix;
         matrix.fill(0.0);
         into.gradient.fill(0.0);
+        into.triangles.clear();
         let mut waiting: Option<&Group> = None;
         into.solved.clear();
         for (idx, (group, sums)) in groups.iter().zip(sums).enumerate() {
@@ -224,6 +236,7 @@ impl WithSimd for Eliminate<'_> {
                 into.failed = true;
                 return;
             };
+            into.triangles.push(lower);
             let mut gradient = sums.gradient;
             forward(&lower, &mut gradient);
             let before = into.solved.len();
@@ -239,62 +252,6 @@ impl WithSimd for Eliminate<'_> {
             add_outer(simd, stride, first, &into.solved, matrix);
         }
     }
-}
-
-/// Works out the steps of the eliminated blocks of some groups.
-struct Substitute<'a> {
-    problem: &'a Problem<'a>,
-    groups: &'a [Group],
-    sums: &'a [&'a GroupSums],
-    reduced_step: &'a [f64],
-    damping: f64,
-    into: &'a mut PartialSum,
-}
-
-impl WithSimd for Substitute<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Self { problem, groups, sums, reduced_step, damping, into } = self;
-        into.steps.clear();
-        into.decrease = 0.0;
-        for (group, sums) in groups.iter().zip(sums) {
-            let Some(block) = group.eliminated else { continue };
-            let n = group.columns.len();
-            let mut right = sums.gradient;
-            for &(place, column, length) in &group.runs {
-                let step = &reduced_step[column..column + length];
-                for (k, right) in right.iter_mut().enumerate() {
-                    *right += dot(simd, &sums.coupling[k * n + place..][..length], step);
-                }
-            }
-            let mut step = [0.0; SIDE];
-            if let Some(triangle) = cholesky(&damped(sums, damping)) {
-                forward(&triangle, &mut right);
-                backward(&triangle, &mut right);
-                for (k, step) in
-                    step.iter_mut().enumerate().filter(|&(k, _)| !problem.parameters.blocks[block].held[k])
-                {
-                    *step = -right[k];
-                    into.decrease +=
-                        *step * (damping * damping_diagonal(sums.own[k][k]) * *step - sums.gradient[k]);
-                }
-            }
-            into.steps.push(step);
-        }
-    }
-}
-
-/// Returns the sum of products.
-#[inline(always)]
-fn dot<S: Simd>(simd: S, a: &[f64], b: &[f64]) -> f64 {
-    let ((a, a_tail), (b, b_tail)) = (S::as_simd_f64s(a), S::as_simd_f64s(b));
-    let mut sum = simd.splat_f64s(0.0);
-    for (&a, &b) in a.iter().zip(b) {
-        sum = simd.mul_add_f64s(a, b, sum);
-    }
-    simd.reduce_sum_f64s(sum) + a_tail.iter().zip(b_tail).map(|(a, b)| a * b).sum::<f64>()
 }
 
 /// Groups whose products are added together, at most; more would not fit into the nearest cache.

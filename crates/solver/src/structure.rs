@@ -422,6 +422,14 @@ impl Structure {
         }
     }
 
+    /// Returns each full tangent column that is reduced, with its reduced column.
+    pub(crate) fn each_reduced(&self) -> impl Iterator<Item = (usize, usize)> {
+        self.first_column.iter().zip(&self.reduced_columns).flat_map(|(&first, columns)| {
+            let reduced = columns.iter().enumerate().filter(|&(_, &column)| column != HELD);
+            reduced.map(move |(k, &column)| (first + k, column as usize))
+        })
+    }
+
     /// Tells whether a model and its factor cost so much more than a gradient that it pays to keep them.
     pub(crate) fn is_worth_keeping(&self) -> bool {
         !self.alike.is_empty()
