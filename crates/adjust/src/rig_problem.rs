@@ -1,6 +1,6 @@
 //! A dataset and a scene as a problem: which block is what.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use boresight_camera::{Camera, LocalSupport, Model, ParamGroup};

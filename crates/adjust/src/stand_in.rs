@@ -6,6 +6,8 @@
 //!
 //! The surface can make up for any turn of the camera, so what decides on the turn is the regularisation
 //! alone. The way there from another turn is long and bent, so the start is turned to where it wants it.
+//!
+//! This is for starts that others made, such as those of mrcal's problems: our own seeds fit the surface already.
 
 use boresight_camera::{Camera, Model};
 use boresight_data::{CameraId, Dataset, Id as _, Scene};
@@ -37,15 +39,17 @@ pub(crate) fn nearer_seed(dataset: &Dataset, seed: &Scene, options: &AdjustOptio
     let cameras =
         seed.rig.cameras.enumerate().filter_map(|(id, camera)| Some((id, &camera.as_ref()?.camera)));
     let flat: Vec<(CameraId, &Camera)> = cameras.filter(|(_, camera)| is_flat(camera)).collect();
-    // What is held of a surface says more than a stand-in can.
+    // What is held or believed says more than a stand-in can, and poses that are held cannot turn.
     let is_held = |hold: &Hold| match *hold {
+        Hold::CamFromRig(_) | Hold::RigFromTarget(_) => true,
         Hold::Lens(camera) => flat.iter().any(|(id, _)| id.index() == camera.index()),
         Hold::LensParam(camera, param) => {
             param >= 4 && flat.iter().any(|(id, _)| id.index() == camera.index())
         }
         _ => false,
     };
-    if flat.is_empty() || options.rejection != Rejection::None || options.holds.iter().any(is_held) {
+    let says_more = !options.priors.is_empty() || options.holds.iter().any(is_held);
+    if flat.is_empty() || options.rejection != Rejection::None || says_more {
         return None;
     }
     let mut scene = seed.clone();
@@ -152,10 +156,12 @@ impl<'a> Surface<'a> {
         const DIFFERENCE_RAD: f64 = 1e-4;
         let mut turn = Vector3::zeros();
         for _ in 0..STEPS {
-            let here = self.residuals(beliefs, &turn)?;
+            // Differences are of the same knots.
+            let seen = self.seen_knots(&turn)?;
+            let here = self.residuals(beliefs, &seen, &turn)?;
             let mut columns = Vec::with_capacity(3);
             for axis in 0..3 {
-                let moved = self.residuals(beliefs, &(turn + Vector3::ith(axis, DIFFERENCE_RAD)))?;
+                let moved = self.residuals(beliefs, &seen, &(turn + Vector3::ith(axis, DIFFERENCE_RAD)))?;
                 let column = moved.iter().zip(&here).map(|(moved, here)| (moved - here) / DIFFERENCE_RAD);
                 columns.push(column.collect::<Vec<f64>>());
             }
@@ -167,19 +173,25 @@ impl<'a> Surface<'a> {
         Some(turn)
     }
 
-    /// Returns by how much the surface after a turn misses what is believed of it, as far as the image shows it.
-    fn residuals(&self, beliefs: &[Belief], turn: &Vector3<f64>) -> Option<Vec<f64>> {
+    /// Tells of each knot whether the image shows it after a turn.
+    fn seen_knots(&self, turn: &Vector3<f64>) -> Option<Vec<bool>> {
         let back = back(&Pose::from_rodrigues(*turn, Vector3::zeros()));
-        let is_seen = std::cell::RefCell::new(Vec::new());
+        let seen = std::cell::RefCell::new(Vec::new());
         let [right, bottom] = self.camera.image_size.map(f64::from);
-        let mut params = self.camera.model.following(self.core, &|ray| {
+        self.camera.model.following(self.core, &|ray| {
             let pixel = self.pixel(&back, ray);
             let is_inside =
                 pixel.is_some_and(|[u, v]| (0.0..right).contains(&u) && (0.0..bottom).contains(&v));
-            is_seen.borrow_mut().push(is_inside);
+            seen.borrow_mut().push(is_inside);
             pixel
         })?;
-        for (knot, is_seen) in params[4..].chunks_exact_mut(2).zip(is_seen.into_inner()) {
+        Some(seen.into_inner())
+    }
+
+    /// Returns by how much the surface after a turn misses what is believed of its `seen` knots.
+    fn residuals(&self, beliefs: &[Belief], seen: &[bool], turn: &Vector3<f64>) -> Option<Vec<f64>> {
+        let mut params = self.params(&Pose::from_rodrigues(*turn, Vector3::zeros()))?;
+        for (knot, is_seen) in params[4..].chunks_exact_mut(2).zip(seen) {
             if !is_seen {
                 knot.fill(0.0);
             }

@@ -1,13 +1,13 @@
 //! Views that as a whole do not go with the others: found by their share of outliers, and told apart by
 //! the pose that each has for itself.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-use boresight_data::{CameraId, Dataset, Geometry, Target};
+use boresight_data::{CameraId, Dataset, FrameId, Geometry, Target, TargetId};
 use boresight_geometry::{Pose, Vector3};
-use boresight_solver::{Elimination, Parameters, Problem, SolveOptions, Term, solve};
+use boresight_solver::{BlockId, Elimination, Parameters, Problem, SolveOptions, Term, solve};
 
 use crate::chain::{Chain, Link};
 use crate::options::Loss;
@@ -314,32 +314,29 @@ fn centre_of(target: &Target) -> Vector3<f64> {
 /// Takes views out of a problem; what nothing sees any more is held.
 pub(crate) fn leave_out(rig: &mut RigProblem, dataset: &Dataset, reasons: &BTreeMap<usize, String>) {
     rig.views.retain(|(view_idx, _)| !reasons.contains_key(view_idx));
-    let is_seen = |is_of: &dyn Fn(&boresight_data::View) -> bool| {
-        rig.views.iter().any(|(view_idx, _)| is_of(&dataset.views[*view_idx]))
-    };
-    for frame in dataset.frames.ids() {
-        if let Some(block) = rig.frames[frame]
-            && !is_seen(&|view| view.frame == frame)
-        {
+    let views = || rig.views.iter().map(|(view_idx, _)| &dataset.views[*view_idx]);
+    let frames: BTreeSet<FrameId> = views().map(|view| view.frame).collect();
+    let targets: BTreeSet<TargetId> = views().map(|view| view.target).collect();
+    let cameras: BTreeSet<CameraId> = views().map(|view| view.camera).collect();
+    // Of a camera that shares its lens with one that is left, only the pose is held.
+    let lenses: BTreeSet<BlockId> =
+        cameras.iter().filter_map(|&camera| Some(rig.cameras[camera]?.lens)).collect();
+    for frame in dataset.frames.ids().filter(|frame| !frames.contains(frame)) {
+        if let Some(block) = rig.frames[frame].take() {
             rig.parameters.hold_all(block);
-            rig.frames[frame] = None;
         }
     }
-    for target in dataset.targets.ids() {
-        if !is_seen(&|view| view.target == target) {
-            let blocks = rig.targets[target];
-            blocks
-                .shape
-                .into_iter()
-                .chain(blocks.first_from_target)
-                .for_each(|block| rig.parameters.hold_all(block));
+    for target in dataset.targets.ids().filter(|target| !targets.contains(target)) {
+        let blocks = rig.targets[target];
+        for block in blocks.shape.into_iter().chain(blocks.first_from_target) {
+            rig.parameters.hold_all(block);
         }
     }
-    let unseen = |camera: CameraId| !is_seen(&|view| view.camera == camera);
-    for camera in dataset.cameras.ids().filter(|camera| unseen(*camera)) {
-        if let Some(blocks) = rig.cameras[camera] {
+    for camera in dataset.cameras.ids().filter(|camera| !cameras.contains(camera)) {
+        let Some(blocks) = rig.cameras[camera] else { continue };
+        if !lenses.contains(&blocks.lens) {
             rig.parameters.hold_all(blocks.lens);
-            rig.parameters.hold_all(blocks.cam_from_rig);
         }
+        rig.parameters.hold_all(blocks.cam_from_rig);
     }
 }

@@ -1,6 +1,6 @@
 //! Beliefs held beforehand: a mean and sigmas, for a block of numbers or a pose.
 
-use boresight_geometry::nalgebra::DMatrix;
+use boresight_geometry::nalgebra::{DMatrix, DVector};
 use boresight_geometry::{Matrix6, Pose, Vector3, Vector6, left_jacobian_inverse, skew};
 
 use crate::problem::{BlockId, GramMut, Scratch, Term, TermKind, Values};
@@ -127,13 +127,13 @@ pub enum JointBelief {
 pub struct JointPrior {
     blocks: Vec<BlockId>,
     beliefs: Vec<JointBelief>,
-    /// The inverse of the covariance's Cholesky factor: whitens the residuals.
-    whitening: DMatrix<f64>,
+    /// The inverse of the covariance.
+    information: DMatrix<f64>,
 }
 
 impl JointPrior {
     /// Returns the prior of `beliefs`, each about a block of its own, with the covariance of their columns
-    /// in this order; `None` if that is not square, symmetric and positive definite.
+    /// in this order; `None` if that is not square and positive definite. Only its lower triangle is read.
     pub fn new(beliefs: Vec<JointBelief>, covariance: &DMatrix<f64>) -> Option<Self> {
         let n: usize = beliefs.iter().map(JointBelief::column_count).sum();
         if covariance.shape() != (n, n) {
@@ -145,12 +145,10 @@ impl JointPrior {
             return None;
         }
         let scaled = DMatrix::from_fn(n, n, |i, j| covariance[(i, j)] / (sigmas[i] * sigmas[j]));
-        let mut whitening = scaled.cholesky()?.l().try_inverse()?;
-        for (mut column, sigma) in whitening.column_iter_mut().zip(&sigmas) {
-            column /= *sigma;
-        }
+        let inverse = scaled.cholesky()?.inverse();
+        let information = DMatrix::from_fn(n, n, |i, j| inverse[(i, j)] / (sigmas[i] * sigmas[j]));
         let blocks = beliefs.iter().map(JointBelief::block).collect();
-        Some(Self { blocks, beliefs, whitening })
+        Some(Self { blocks, beliefs, information })
     }
 }
 
@@ -179,42 +177,60 @@ impl Term for JointPrior {
     }
 
     fn row_count(&self) -> usize {
-        self.whitening.nrows()
+        self.information.nrows()
     }
 
     fn linearize(&self, values: Values<'_>, gram: &mut GramMut<'_>, _: &mut Scratch) -> Option<f64> {
         gram.clear();
-        let n_rows = self.row_count();
+        let n = self.row_count();
         let last = gram.size() - 1;
-        let mut jacobian = DMatrix::zeros(n_rows, last + 1);
-        let (mut row, mut first) = (0, 0);
+        let mut departure = DVector::zeros(n);
+        // The column of the gram that each of ours is, and the derivative of the poses' departures by theirs.
+        let mut columns = Vec::with_capacity(n);
+        let mut by_pose = Vec::new();
+        let mut first = 0;
         for belief in &self.beliefs {
+            let row = columns.len();
             match belief {
                 JointBelief::Numbers(block, numbers) => {
                     let found = values.vector(*block);
-                    for &(column, mean) in numbers {
-                        jacobian[(row, first + column)] = 1.0;
-                        jacobian[(row, last)] = found[column] - mean;
-                        row += 1;
+                    for (k, &(column, mean)) in numbers.iter().enumerate() {
+                        departure[row + k] = found[column] - mean;
+                        columns.push(first + column);
                     }
                     first += found.len();
                 }
                 JointBelief::Pose(block, mean) => {
-                    let departure = (values.pose(*block) * mean.inverse()).log();
-                    jacobian.view_mut((row, first), (6, 6)).copy_from(&log_by_left(&departure));
-                    jacobian.view_mut((row, last), (6, 1)).copy_from(&departure);
-                    (row, first) = (row + 6, first + 6);
+                    let off = (values.pose(*block) * mean.inverse()).log();
+                    departure.fixed_rows_mut::<6>(row).copy_from(&off);
+                    by_pose.push((row, log_by_left(&off)));
+                    columns.extend(first..first + 6);
+                    first += 6;
                 }
             }
         }
-        let rows = &self.whitening * jacobian;
-        let square = rows.transpose() * rows;
-        for a in 0..=last {
-            for b in a..=last {
-                gram.add(a, b, square[(a, b)]);
-            }
+        // The derivative is the identity for numbers, so that only poses need products.
+        let mut gradient = &self.information * &departure;
+        let cost = departure.dot(&gradient);
+        let mut information = self.information.clone();
+        for (row, by_left) in &by_pose {
+            let mapped = information.fixed_columns::<6>(*row) * by_left;
+            information.fixed_columns_mut::<6>(*row).copy_from(&mapped);
         }
-        Some(square[(last, last)])
+        for (row, by_left) in &by_pose {
+            let mapped = by_left.transpose() * information.fixed_rows::<6>(*row);
+            information.fixed_rows_mut::<6>(*row).copy_from(&mapped);
+            let mapped = by_left.transpose() * gradient.fixed_rows::<6>(*row);
+            gradient.fixed_rows_mut::<6>(*row).copy_from(&mapped);
+        }
+        for (i, &a) in columns.iter().enumerate() {
+            for (j, &b) in columns.iter().enumerate().skip(i) {
+                gram.add(a.min(b), a.max(b), information[(i, j)]);
+            }
+            gram.add(a, last, gradient[i]);
+        }
+        gram.add(last, last, cost);
+        Some(cost)
     }
 }
 

@@ -76,7 +76,9 @@ image size is right and that images were not scaled, cropped or undistorted.";
             let mut cells = vec![Cell::default(); CELLS[0] * CELLS[1]];
             for used in case.used_views_of(id) {
                 let mut by_cell: BTreeMap<usize, [Vec<f64>; 2]> = BTreeMap::new();
-                for (seen, residual) in used.view.observations.iter().zip(&used.fit.residuals_px) {
+                let residuals = used.view.observations.iter().zip(&used.fit.residuals_px);
+                // What the lens does not see has no direction to be biased in.
+                for (seen, residual) in residuals.filter(|(_, [u, v])| u.is_finite() && v.is_finite()) {
                     let place = [0, 1].map(|axis| {
                         let across = (seen.pixel[axis] + 0.5) / f64::from(placed.camera.image_size[axis]);
                         ((across * CELLS[axis] as f64).max(0.0) as usize).min(CELLS[axis] - 1)
