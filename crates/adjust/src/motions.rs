@@ -83,17 +83,19 @@ fn add_views(
         let camera = dataset.views[*view_idx].camera;
         let Some((_, sums)) = sums.iter_mut().find(|(id, _)| id.index() == camera.index()) else { continue };
         let (n_lens, n_shape, chain) = term.parts();
-        chain.linearize(values, &mut scratch.links);
         // Without a first link nothing of the view can move.
-        let n_links = scratch.links.maps().len();
-        let Some(&first_map) = scratch.links.maps().first() else { continue };
+        let n_links = chain.blocks().count();
+        if n_links == 0 {
+            continue;
+        }
         let first_pose = n_lens + n_shape;
         let n = first_pose + 6 * n_links + 1;
         entries.resize(n * n, 0.0);
         let mut gram = GramMut::new(&mut entries, n);
-        if term.linearize(values, &mut gram, &mut scratch).is_none() {
+        if term.linearize_common(values, &mut gram, &mut scratch).is_none() {
             continue;
         }
+        let first_map = scratch.links.maps()[0];
         // Only the upper triangle is there, and of a pose's own block that alone is right.
         let entry = |a: usize, b: usize| entries[a.min(b) * n + a.max(b)];
         // The first link's columns are the motion's times its adjoint.

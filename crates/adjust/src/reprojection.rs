@@ -16,8 +16,8 @@ use boresight_solver::gram::{BLOCK, Previous, Row};
 use boresight_solver::lanes::{Lanes, MAX_LANES};
 use boresight_solver::pulp::{Arch, Simd, WithSimd};
 use boresight_solver::{
-    BlockId, CompositeColumns, CompositeTerm, GramMut, LocalTerm, Scratch, Term, Values, Weighed,
-    linearize_composite,
+    BlockId, CompositeColumns, CompositeTerm, GramMut, Links, LocalTerm, Scratch, Term, Values, Weighed,
+    expand_composite, linearize_composite,
 };
 
 use crate::chain::Chain;
@@ -206,10 +206,25 @@ impl Reprojection {
         self.loss = loss;
     }
 
-    /// Returns the number of lens parameters, that of shape coefficients, and the chain, whose blocks'
-    /// columns follow these two in the term.
+    /// Returns the number of lens parameters that every point depends on, that of shape coefficients, and
+    /// the chain, whose blocks' columns follow these two in [`linearize_common`](Self::linearize_common).
     pub(crate) fn parts(&self) -> (usize, usize, &Chain) {
-        (self.model.param_count(), self.n_shape, &self.chain)
+        (n_whole_params(self.model), self.n_shape, &self.chain)
+    }
+
+    /// Writes what [`Term::linearize`] does, but leaves out the lens parameters that not every point depends on.
+    pub fn linearize_common(
+        &self,
+        values: Values<'_>,
+        gram: &mut GramMut<'_>,
+        scratch: &mut Scratch,
+    ) -> Option<()> {
+        if self.model.local_support().is_none() {
+            return linearize_composite(self, values, gram, scratch).map(|_| ());
+        }
+        self.sum_common(values, scratch)?;
+        expand_composite(&self.layout, 1.0, gram, scratch);
+        Some(())
     }
 
     /// Returns the predicted pixel of each observation, or `None` where the lens sees none of it.
@@ -284,29 +299,19 @@ impl CompositeTerm for Reprojection {
     }
 
     fn sum_products(&self, values: Values<'_>, scratch: &mut Scratch) -> Option<Weighed> {
-        let (rotation, translation) = self.chain.linearize(values, &mut scratch.links);
         if self.n_rows == 0 {
+            self.chain.linearize(values, &mut scratch.links);
             scratch.gram.clear(n_row_columns(self.model.param_count(), self.n_shape));
             return Some(Weighed { factor: 1.0, cost: 0.0 });
         }
-        self.model.visit(Accumulate {
-            term: self,
-            lens: values.vector(self.blocks[0]),
-            rotation,
-            translation: translation.into(),
-            shape: self.shape(values),
-            scratch,
-        })
+        self.model.visit(Accumulate { term: self, values, scratch })
     }
 }
 
 /// Multiplies out the rows of a view, for one lens model.
 struct Accumulate<'a> {
     term: &'a Reprojection,
-    lens: &'a [f64],
-    rotation: Matrix3<f64>,
-    translation: [f64; 3],
-    shape: [f64; MAX_SHAPE],
+    values: Values<'a>,
     scratch: &'a mut Scratch,
 }
 
@@ -348,7 +353,7 @@ fn accumulate<L: RowLens, S: Simd, const SHAPE: usize>(
     model: L,
     view: Accumulate<'_>,
 ) -> Option<Weighed> {
-    let Accumulate { term, lens, rotation, translation, shape, scratch } = view;
+    let Accumulate { term, values, scratch } = view;
     let n_points = term.points.n_points;
     let n_columns = n_row_columns(model.param_count(), SHAPE);
     let stride = n_columns.next_multiple_of(BLOCK);
@@ -356,8 +361,7 @@ fn accumulate<L: RowLens, S: Simd, const SHAPE: usize>(
     let room = n_chunks_at_once * stride * S::F64_LANES;
     scratch.rows.make_room(2 * room);
     let (u_rows, v_rows) = scratch.rows.split_at_mut(room);
-    let by_focal = [1.0 / lens[0], 1.0 / lens[1]];
-    let context = Context { model, term, lens, by_focal, rotation, translation, shape };
+    let context = Context::new(model, term, values, &mut scratch.links);
     // A weight that all rows share is applied to their sums.
     let (uniform, factor) = match (&term.weights, term.loss) {
         (Weights::Uniform(weight), Loss::None) => (true, weight * weight),
@@ -407,6 +411,25 @@ struct Context<'a, M> {
     rotation: Matrix3<f64>,
     translation: [f64; 3],
     shape: [f64; MAX_SHAPE],
+}
+
+impl<'a, L> Context<'a, L> {
+    /// Returns what is the same for all points of a view at these values, and leaves in `links` how each
+    /// block's left perturbation moves the view's pose.
+    #[inline(always)]
+    fn new(model: L, term: &'a Reprojection, values: Values<'a>, links: &mut Links) -> Self {
+        let (rotation, translation) = term.chain.linearize(values, links);
+        let lens = values.vector(term.blocks[0]);
+        Self {
+            model,
+            term,
+            lens,
+            by_focal: [1.0 / lens[0], 1.0 / lens[1]],
+            rotation,
+            translation: translation.into(),
+            shape: term.shape(values),
+        }
+    }
 }
 
 impl<L: RowLens> Context<'_, L> {

@@ -101,6 +101,26 @@ impl Case {
     }
 }
 
+/// Checks the matrix without the parameters that not every point depends on against the whole one, `entries`.
+fn check_common(case: &Case, built: &Built, entries: &[f64], side: usize) {
+    let n_lens = if case.model.local_support().is_some() { 4 } else { case.lens.len() };
+    let n_left_out = case.lens.len() - n_lens;
+    let n = side - n_left_out;
+    let mut common = vec![f64::NAN; n * n];
+    let mut gram = GramMut::new(&mut common, n);
+    let values = built.parameters.values();
+    built.term.linearize_common(values, &mut gram, &mut Scratch::default()).expect("the case is in view");
+    let place = |column: usize| if column < n_lens { column } else { column + n_left_out };
+    for a in 0..n {
+        for b in a..n {
+            // Of the residual's square nothing is promised.
+            let (found, whole) = (common[a * n + b], entries[place(a) * side + place(b)]);
+            let is_alike = (found - whole).abs() <= 1e-9 * whole.abs().max(1.0);
+            assert!(is_alike || a + 1 == n, "columns {a} {b}: {found} against {whole}");
+        }
+    }
+}
+
 /// Checks every entry of the term's matrix against the rows' central differences.
 fn check(case: &Case) {
     let built = case.build(None);
@@ -114,6 +134,7 @@ fn check(case: &Case) {
         .term
         .linearize(built.parameters.values(), &mut GramMut::new(&mut entries, side), &mut scratch)
         .expect("the case is in view");
+    check_common(case, &built, &entries, side);
     let residuals = case.residuals(&built.observations);
     // Cauchy's weight of each corner, and the loss.
     let mut weights = vec![1.0; residuals.len()];

@@ -121,7 +121,13 @@ impl StepSolver {
         threads.for_each(&mut self.partial_sums, |idx, into| {
             let range = structure.schur_chunks[idx].clone();
             let (groups, sums) = (&structure.groups[range.clone()], &groups[range]);
-            arch.dispatch(Substitute { right: Right::LessGradient, groups, sums, reduced: reduced_step, into });
+            arch.dispatch(Substitute {
+                right: Right::LessGradient,
+                groups,
+                sums,
+                reduced: reduced_step,
+                into,
+            });
         });
         for (full, column) in structure.each_reduced() {
             self.step[full] = reduced_step[column];
@@ -225,8 +231,7 @@ impl WithSimd for Eliminate<'_> {
             }
             // Groups with the same columns are subtracted together, while the rows are in the nearest cache.
             if let Some(first) = waiting
-                && (first.columns != group.columns
-                    || into.solved.len() >= TOGETHER * first.panel_count())
+                && (first.columns != group.columns || into.solved.len() >= TOGETHER * first.panel_count())
             {
                 add_outer(simd, stride, first, &into.solved, matrix);
                 into.solved.clear();

@@ -5,8 +5,10 @@
 //! each other are `Σ w wᵀ`, once for both axes and for all views of a camera, which each cell of the
 //! grid sums as a product of its two directions. Knots by pose are summed for each view alone.
 
+mod common;
 mod gradient;
 mod whole;
+mod work;
 
 use std::ops::Range;
 
@@ -14,13 +16,14 @@ use boresight_camera::{CameraModel, LocalLinear, LocalSupport, ModelVisitor};
 use boresight_geometry::{Scalar, Vector3};
 use boresight_solver::gram::Previous;
 use boresight_solver::lanes::{Lanes, MAX_LANES};
-use boresight_solver::pulp::{Simd, WithSimd};
+use boresight_solver::pulp::Simd;
 use boresight_solver::{
     Accumulated, BlockId, EliminatedSums, GramMut, LinkMap, Links, LocalTerm, Scratch, Values,
     expand_composite,
 };
 
 use self::gradient::SumGradient;
+use self::work::{LocalWork, done};
 use super::{
     BLOCK, Context, FIRST_LENS_COLUMN, MAX_SHAPE, Reprojection, load, n_row_columns, write_geometry,
 };
@@ -224,7 +227,7 @@ impl LocalTerm for Reprojection {
         if self.n_rows == 0 {
             return Some(0.0);
         }
-        self.model.visit(SumGradient { term: self, values, grid, gradient, scratch })
+        done(SumGradient { term: self, values, grid, gradient, scratch })
     }
 
     fn accumulate(
@@ -239,7 +242,7 @@ impl LocalTerm for Reprojection {
         if self.n_rows == 0 {
             return Accumulated::Cost(0.0);
         }
-        self.model.visit(AccumulateLocally { term: self, values, grid, support, sums, eliminated, scratch })
+        done(AccumulateLocally { term: self, values, grid, support, sums, eliminated, scratch })
     }
 }
 
@@ -334,114 +337,86 @@ struct AccumulateLocally<'a, 'e> {
     scratch: &'a mut Scratch,
 }
 
-impl ModelVisitor for AccumulateLocally<'_, '_> {
-    type Output = Accumulated;
-
-    fn visit<M: CameraModel>(self, model: M) -> Accumulated {
-        if const { !M::IS_LOCAL } {
-            return Accumulated::Undefined;
-        }
-        self.term.arch.dispatch(AccumulateWith { model, view: self })
-    }
-}
-
-struct AccumulateWith<'a, 'e, M> {
-    model: M,
-    view: AccumulateLocally<'a, 'e>,
-}
-
-impl<M: CameraModel> WithSimd for AccumulateWith<'_, '_, M> {
-    type Output = Accumulated;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> Accumulated {
-        match (self.view.term.n_shape, self.view.grid.support.side) {
-            (0, 3) => accumulate::<M, S, 0, 3>(simd, self.model, self.view),
-            (0, _) => accumulate::<M, S, 0, 4>(simd, self.model, self.view),
-            (_, 3) => accumulate::<M, S, MAX_SHAPE, 3>(simd, self.model, self.view),
-            (_, _) => accumulate::<M, S, MAX_SHAPE, 4>(simd, self.model, self.view),
-        }
-    }
-}
-
 /// Points whose rows of common columns are multiplied at once.
 const POINTS_AT_ONCE: usize = 104;
 
-#[inline(always)]
-fn accumulate<M: CameraModel, S: Simd, const SHAPE: usize, const SIDE: usize>(
-    simd: S,
-    model: M,
-    view: AccumulateLocally<'_, '_>,
-) -> Accumulated {
-    let AccumulateLocally { term, values, grid, support, sums, eliminated, scratch } = view;
-    let Some(rectangle) = rectangle(&grid, support) else { return Accumulated::OutsideSupport };
-    let (rotation, translation) = term.chain.linearize(values, &mut scratch.links);
-    let lens = values.vector(term.blocks[0]);
-    let translation = translation.into();
-    let context = Context {
-        model,
-        term,
-        lens,
-        by_focal: [1.0 / lens[0], 1.0 / lens[1]],
-        rotation,
-        translation,
-        shape: term.shape(values),
-    };
-    let n_columns = n_row_columns(CORE, SHAPE);
-    let stride = n_columns.next_multiple_of(BLOCK);
-    let room = POINTS_AT_ONCE / S::F64_LANES * stride * S::F64_LANES;
-    let n_knot_sums = rectangle.n_rows * rectangle.n_columns * PER_KNOT;
-    let rows = &mut scratch.rows;
-    rows.make_room(2 * room + n_knot_sums);
-    let (u_rows, rest) = rows.split_at_mut(room);
-    let (v_rows, knots) = rest.split_at_mut(room);
-    knots.fill(0.0);
-    let n_in_chunk = stride * S::F64_LANES;
-    let [knots_start, cells_start] = grid.starts();
-    let n_points = term.points.n_points;
-    let mut loss = 0.0;
-    let mut first = 0;
-    let mut previous = Previous::Forgotten;
-    while first < n_points {
-        let n_chunks = (n_points - first).min(POINTS_AT_ONCE).div_ceil(S::F64_LANES);
-        for chunk in 0..n_chunks {
-            let point = first + chunk * S::F64_LANES;
-            let (u, _) = S::as_mut_simd_f64s(&mut u_rows[chunk * n_in_chunk..(chunk + 1) * n_in_chunk]);
-            let (v, _) = S::as_mut_simd_f64s(&mut v_rows[chunk * n_in_chunk..(chunk + 1) * n_in_chunk]);
-            let Some((linear, weights)) = context.write_common::<S, SHAPE>(simd, point, [u, v], &mut loss)
-            else {
-                return Accumulated::Undefined;
-            };
-            let local = LocalRows { u, v, linear: &linear, weights };
-            let n_lanes = (n_points - point).min(S::F64_LANES);
-            let is_inside = local.add::<SHAPE, SIDE>(
-                simd,
-                (&grid, context.lens, n_lanes),
-                rectangle,
-                knots,
-                &mut sums[cells_start..],
-            );
-            if !is_inside {
-                return Accumulated::OutsideSupport;
-            }
-        }
-        let (u, v) = (&u_rows[..n_chunks * n_in_chunk], &v_rows[..n_chunks * n_in_chunk]);
-        scratch.gram.sum(simd, n_columns, u, v, previous);
-        previous = Previous::Kept;
-        first += POINTS_AT_ONCE;
+impl LocalWork for AccumulateLocally<'_, '_> {
+    type Output = Accumulated;
+
+    fn term(&self) -> &Reprojection {
+        self.term
     }
-    let cost = match term.loss {
-        Loss::None => term.layout.squares(scratch.gram.sums()),
-        Loss::Cauchy { .. } => loss,
-    };
-    let knots = std::mem::take(&mut scratch.rows);
-    let chain = ViewChain::new(term, &scratch.links, eliminated.block);
-    chain.add_common(term, &grid, scratch, sums, eliminated, support.len());
-    let (_, knot_sums) = knots.split_at(2 * room);
-    let shared = &mut sums[knots_start..cells_start];
-    let is_inside = chain.add_knots(&grid, rectangle, knot_sums, support, shared, eliminated);
-    scratch.rows = knots;
-    if is_inside { Accumulated::Cost(cost) } else { Accumulated::OutsideSupport }
+
+    fn undefined() -> Accumulated {
+        Accumulated::Undefined
+    }
+
+    #[inline(always)]
+    fn work<M: CameraModel, S: Simd, const SHAPE: usize, const SIDE: usize>(
+        self,
+        simd: S,
+        model: M,
+    ) -> Accumulated {
+        let Self { term, values, grid, support, sums, eliminated, scratch } = self;
+        let Some(rectangle) = rectangle(&grid, support) else { return Accumulated::OutsideSupport };
+        let context = Context::new(model, term, values, &mut scratch.links);
+        let n_columns = n_row_columns(CORE, SHAPE);
+        let stride = n_columns.next_multiple_of(BLOCK);
+        let room = POINTS_AT_ONCE / S::F64_LANES * stride * S::F64_LANES;
+        let n_knot_sums = rectangle.n_rows * rectangle.n_columns * PER_KNOT;
+        let rows = &mut scratch.rows;
+        rows.make_room(2 * room + n_knot_sums);
+        let (u_rows, rest) = rows.split_at_mut(room);
+        let (v_rows, knots) = rest.split_at_mut(room);
+        knots.fill(0.0);
+        let n_in_chunk = stride * S::F64_LANES;
+        let [knots_start, cells_start] = grid.starts();
+        let n_points = term.points.n_points;
+        let mut loss = 0.0;
+        let mut first = 0;
+        let mut previous = Previous::Forgotten;
+        while first < n_points {
+            let n_chunks = (n_points - first).min(POINTS_AT_ONCE).div_ceil(S::F64_LANES);
+            for chunk in 0..n_chunks {
+                let point = first + chunk * S::F64_LANES;
+                let (u, _) = S::as_mut_simd_f64s(&mut u_rows[chunk * n_in_chunk..(chunk + 1) * n_in_chunk]);
+                let (v, _) = S::as_mut_simd_f64s(&mut v_rows[chunk * n_in_chunk..(chunk + 1) * n_in_chunk]);
+                let Some((linear, weights)) =
+                    context.write_common::<S, SHAPE>(simd, point, [u, v], &mut loss)
+                else {
+                    return Accumulated::Undefined;
+                };
+                let local = LocalRows { u, v, linear: &linear, weights };
+                let n_lanes = (n_points - point).min(S::F64_LANES);
+                let is_inside = local.add::<SHAPE, SIDE>(
+                    simd,
+                    (&grid, context.lens, n_lanes),
+                    rectangle,
+                    knots,
+                    &mut sums[cells_start..],
+                );
+                if !is_inside {
+                    return Accumulated::OutsideSupport;
+                }
+            }
+            let (u, v) = (&u_rows[..n_chunks * n_in_chunk], &v_rows[..n_chunks * n_in_chunk]);
+            scratch.gram.sum(simd, n_columns, u, v, previous);
+            previous = Previous::Kept;
+            first += POINTS_AT_ONCE;
+        }
+        let cost = match term.loss {
+            Loss::None => term.layout.squares(scratch.gram.sums()),
+            Loss::Cauchy { .. } => loss,
+        };
+        let knots = std::mem::take(&mut scratch.rows);
+        let chain = ViewChain::new(term, &scratch.links, eliminated.block);
+        chain.add_common(term, &grid, scratch, sums, eliminated, support.len());
+        let (_, knot_sums) = knots.split_at(2 * room);
+        let shared = &mut sums[knots_start..cells_start];
+        let is_inside = chain.add_knots(&grid, rectangle, knot_sums, support, shared, eliminated);
+        scratch.rows = knots;
+        if is_inside { Accumulated::Cost(cost) } else { Accumulated::OutsideSupport }
+    }
 }
 
 /// Returns the smallest rectangle around the knots of the support.
@@ -490,7 +465,14 @@ impl<M: CameraModel> Context<'_, M> {
             let by_focal = (linear.pixel[row] - zero.like(lens[2 + row])).scale(by_focal[row]);
             columns[0] = (by_focal * scale).value;
             columns[1] = scale.value;
-            write_geometry(rotation, &p, [a, b, c], &basis, residuals[row], &mut columns[FIRST_SHAPE_COLUMN..]);
+            write_geometry(
+                rotation,
+                &p,
+                [a, b, c],
+                &basis,
+                residuals[row],
+                &mut columns[FIRST_SHAPE_COLUMN..],
+            );
         }
         Some((linear, scale))
     }
