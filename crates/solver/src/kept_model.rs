@@ -24,6 +24,9 @@ pub(crate) struct KeptModel {
     /// The cost there.
     pub cost: f64,
     pairs: Vec<Pair>,
+    /// Where the model was made, and how many steps had been taken before.
+    pub origin: Vec<f64>,
+    pub first_iteration: usize,
 }
 
 /// A step and what it changed.
@@ -35,8 +38,13 @@ struct Pair {
 }
 
 impl KeptModel {
-    /// Returns a search that stands where the model was made.
-    pub(crate) fn new(structure: &Structure, model: &Linearization) -> Self {
+    /// Returns a search that stands where the model was made: at `origin`, after so many iterations.
+    pub(crate) fn new(
+        structure: &Structure,
+        model: &Linearization,
+        origin: &[f64],
+        first_iteration: usize,
+    ) -> Self {
         let mut gradient = vec![0.0; structure.n_columns];
         for (full, column) in structure.each_reduced() {
             gradient[full] = model.reduced.gradient[column];
@@ -46,7 +54,7 @@ impl KeptModel {
                 gradient[structure.first_column[block]..][..SIDE].copy_from_slice(&sums.gradient);
             }
         }
-        Self { gradient, cost: model.cost(), pairs: Vec::new() }
+        Self { gradient, cost: model.cost(), pairs: Vec::new(), origin: origin.to_vec(), first_iteration }
     }
 
     /// Tells whether there is no room to learn more.

@@ -9,6 +9,7 @@ use argmin::core::{IterState, KV, Solver, State as _, TerminationReason};
 use argmin::kv;
 
 use crate::Error;
+use crate::checkpoint::Saved;
 use crate::gradient::Gradient;
 use crate::kept_model::KeptModel;
 use crate::linearization::{Failure, Linearization, Threads};
@@ -69,7 +70,9 @@ pub(crate) struct LevenbergMarquardt<'a> {
     /// What the damping grows by when that step is rejected.
     pub growth: f64,
     /// The gain of the last step, in shares of its prediction.
-    gain: f64,
+    pub gain: f64,
+    /// Where the structure was made; nothing if that is where the problem starts.
+    pub support_values: Vec<f64>,
     gradient: Gradient,
     /// The end of the search, along a model that is kept.
     kept: Option<KeptModel>,
@@ -95,6 +98,7 @@ impl<'a> LevenbergMarquardt<'a> {
             scratch: Scratch::default(),
             trial_values: Vec::with_capacity(values.len()),
             gain: 0.0,
+            support_values: Vec::new(),
             gradient: Gradient::new(&structure),
             kept: None,
             structure,
@@ -113,14 +117,36 @@ impl<'a> LevenbergMarquardt<'a> {
         let Self { structure, threads, model, scratch, .. } = self;
         match model.evaluate(problem, structure, values, threads, scratch) {
             Err(Failure::OutsideSupport) => {
-                *structure = Structure::new(problem, values);
-                *model = Linearization::new(structure);
-                self.trial = Linearization::new(structure);
-                self.steps = StepSolver::new(structure);
+                self.find_supports(problem, values);
+                let Self { structure, threads, model, scratch, .. } = self;
                 Ok(model.evaluate(problem, structure, values, threads, scratch)?)
             }
             outcome => Ok(outcome?),
         }
+    }
+
+    /// Makes the structure that fits the terms' supports at `values`.
+    fn find_supports(&mut self, problem: &Problem<'_>, values: &[f64]) {
+        self.structure = Structure::new(problem, values);
+        self.model = Linearization::new(&self.structure);
+        self.trial = Linearization::new(&self.structure);
+        self.steps = StepSolver::new(&self.structure);
+        self.support_values = values.to_vec();
+    }
+
+    /// Goes on where a checkpoint was written.
+    pub(crate) fn resume(&mut self, problem: &Problem<'_>, saved: &Saved) -> Result<(), Error> {
+        (self.damping, self.growth, self.gain) = (saved.damping, saved.growth, saved.gain);
+        if !saved.support_values.is_empty() {
+            self.find_supports(problem, &saved.support_values);
+        }
+        self.move_to(problem, &saved.values)
+    }
+
+    /// Returns where the model that is kept was made, and how many steps have been taken since, if one is.
+    pub(crate) fn origin(&self) -> Option<(&[f64], u64)> {
+        let kept = self.kept.as_ref()?;
+        Some((&kept.origin, (self.counters.iterations - kept.first_iteration) as u64))
     }
 
     /// Returns the cost where the search is.
@@ -230,7 +256,7 @@ impl<'a> LevenbergMarquardt<'a> {
                 }
                 self.counters.evaluations += 1;
                 if self.gain > KEEP_GAIN && predicted <= KEEP_BELOW * cost && structure.is_worth_keeping() {
-                    let mut kept = KeptModel::new(structure, model);
+                    let mut kept = KeptModel::new(structure, model, values, self.counters.iterations);
                     if gradient.evaluate(problem, structure, trial_values, threads, scratch)
                         && kept.accept(&steps.step, predicted, gradient.cost, &gradient.entries)
                     {
@@ -266,6 +292,7 @@ impl<'a> LevenbergMarquardt<'a> {
                                 *trial = Linearization::new(&other);
                                 *steps = StepSolver::new(&other);
                                 (*structure, *model) = (other, other_model);
+                                self.support_values = trial_values.clone();
                             }
                         }
                         std::mem::swap(values, trial_values);

@@ -63,9 +63,8 @@ pub fn solve_observed(
     if let Some(writer) = &writer {
         match writer.read(values.len())? {
             Some(saved) => {
-                (search.damping, search.growth) = (saved.damping, saved.growth);
+                search.resume(problem, &saved)?;
                 (values, iteration) = (saved.values, saved.iteration);
-                search.move_to(problem, &values)?;
             }
             // A place that cannot be written to should be known before the work, not after it.
             None => writer.write(&search, &values, iteration)?,

@@ -4,6 +4,7 @@ use boresight_adjust::{AdjustOptions, Hold, Optimum, Regularization, Rejection, 
 use boresight_camera::Model;
 use boresight_data::{CameraId, Scene};
 use boresight_seed::{SeedOptions, seed};
+use boresight_solver::{Checkpointing, Stop};
 use boresight_tests::conformance::conformance_file;
 use boresight_tests::mrcal_problem::MrcalProblem;
 use boresight_tests::npz::Npz;
@@ -134,4 +135,35 @@ fn a_splined_lens_leads_to_the_stored_optimum() {
     let cost = found.solution.cost;
     println!("by default: cost {cost:.12}, {:?}", found.solution.counters);
     assert!(cost <= solution.number("cost") * (1.0 + 1e-9), "{cost}");
+}
+
+#[test]
+fn a_splined_search_resumes_with_the_same_bits() {
+    let Some(problem) = conformance_file("mrcal/problems/c1_f200_b14_splined.npz") else { return };
+    let lens: Model = "splined3:30x18:120deg".parse().unwrap();
+    let problem = MrcalProblem::read(&problem, lens, false).unwrap();
+    let holds = (0..4).map(|param| Hold::LensParam(CameraId(0), param)).collect();
+    let options = AdjustOptions { holds, decrease_below: 1e-6, ..options() };
+    // A surface that is flat would be solved by a stand-in first.
+    let near = AdjustOptions { max_iterations: 1, ..options.clone() };
+    let start = optimize(&problem.dataset, &problem.seed, &near).unwrap().scene;
+    let whole = optimize(&problem.dataset, &start, &options).unwrap().solution;
+    // Most steps are from gradients alone.
+    assert!(whole.counters.iterations > whole.counters.factorizations, "{:?}", whole.counters);
+    let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("splined-checkpoint");
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("search.json");
+    for max_iterations in [2, 6, 10, 12, 14, 16, 18, 500] {
+        let checkpoint = Some(Checkpointing { path: path.clone(), every: 1 });
+        let options = AdjustOptions { max_iterations, checkpoint, ..options.clone() };
+        let found = optimize(&problem.dataset, &start, &options).unwrap().solution;
+        println!("up to {max_iterations}: {:?}, {:?}", found.stop, found.counters);
+        if max_iterations == 500 {
+            assert_eq!(found.values, whole.values);
+            assert_eq!(found.cost.to_bits(), whole.cost.to_bits());
+        } else {
+            assert_eq!(found.stop, Stop::Iterations { count: max_iterations });
+        }
+    }
 }

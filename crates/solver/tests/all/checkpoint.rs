@@ -163,7 +163,7 @@ fn what_is_no_checkpoint_is_refused_and_kept() {
         (sound[..sound.len() / 2].to_owned(), "not a checkpoint"),
         (sound.replace("\"damping\":", "\"damp\":"), "not a checkpoint"),
         (sound.replace("\"values\":[", "\"values\":[1.0,"), "it has 3 values, not 2"),
-        (sound.replace("checkpoint/1", "checkpoint/2"), "its schema is"),
+        (sound.replace("checkpoint/2", "checkpoint/1"), "its schema is"),
         (sound.replace("\"growth\":", "\"growth\":-"), "its damping"),
     ];
     for (text, expected) in cases {
