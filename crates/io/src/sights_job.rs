@@ -83,7 +83,8 @@ struct OfSights {
 /// Reads a job that has a table `[sights]`; `None` of any other.
 pub fn read_sights_job(path: &Path, overrides: &RobotOverrides) -> Result<Option<SightsJob>, Error> {
     let file = if path.is_dir() { path.join(JOB_FILE) } else { path.to_owned() };
-    if file.extension().is_none_or(|extension| extension != "toml") || !has_sights(&file)? {
+    let is_job = file.extension().is_some_and(|extension| extension == "toml") && file.is_file();
+    if !is_job || !has_sights(&file)? {
         return Ok(None);
     }
     let of_sights = read_robot_job::<OfSights>(&file, "sights")?;
@@ -283,6 +284,8 @@ mod tests {
         );
         assert_eq!(found.inputs.len(), 3);
         assert_eq!(job(&[(JOB_FILE, "[robot]\nposes = [\"arm.csv\"]\n"), ARM]).unwrap(), None);
+        // A folder of images is a job without a file.
+        assert_eq!(job(&[ARM]).unwrap(), None);
     }
 
     #[test]
