@@ -46,6 +46,9 @@ pub struct Outcome {
     pub lenses: Vec<LensSelection>,
     /// Whether the shape of the target helped, where that was asked.
     pub shape: Option<ShapeSelection>,
+    /// How it was adjusted: with the lenses that the job states, the holds, priors and shared lenses that the options
+    /// came to. Whoever adjusts the dataset again begins with these.
+    pub adjust: AdjustOptions,
 }
 
 /// Calibrates a job: chooses cameras and target shape, seeds, adjusts and judges.
@@ -103,7 +106,8 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
         .extend(job.findings.iter().filter(|finding| !is_of_other_camera(finding, job, &dataset)).cloned());
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     let left_out = seed.left_out.iter().map(|fact| fact.describe(&dataset)).collect();
-    Ok(Outcome { calibration, verdict: verdict(&findings), dataset, findings, left_out, lenses, shape })
+    let (verdict, adjust) = (verdict(&findings), AdjustOptions { cancel: None, ..adjust_options });
+    Ok(Outcome { calibration, verdict, dataset, findings, left_out, lenses, shape, adjust })
 }
 
 /// Returns the lens model of each camera, and why for those that were chosen.
@@ -143,7 +147,7 @@ pub(crate) fn is_noncentral(model: Model) -> bool {
 }
 
 /// Returns the lenses that the job knows, by the dataset's cameras.
-pub(crate) fn known_lenses(job: &Job, dataset: &Dataset) -> Vec<(CameraId, Camera)> {
+fn known_lenses(job: &Job, dataset: &Dataset) -> Vec<(CameraId, Camera)> {
     let known = job.known_lenses.iter().filter_map(|(name, lens)| {
         let (id, _) = dataset.cameras.enumerate().find(|(_, info)| info.name == *name)?;
         Some((id, lens.clone()))

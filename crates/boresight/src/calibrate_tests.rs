@@ -147,4 +147,11 @@ fn cameras_may_share_a_lens_and_parameters_may_be_held() {
     assert_eq!(lens(0), lens(1));
     assert_eq!(lens(0)[8], 0.0);
     assert!((lens(0)[0] - 1100.0).abs() < 3.0, "{:?}", lens(0));
+    // Both halves hold and share the same.
+    let halves = crate::cross_validation::halves(&outcome.dataset, &outcome.calibration, &outcome.adjust);
+    for half in halves.unwrap() {
+        let lens = |id: u32| &half.scene.rig.cameras[CameraId(id)].as_ref().unwrap().camera.params;
+        assert_eq!((lens(0)[8], lens(0)), (0.0, lens(1)));
+        assert_eq!(crate::sigma_of(&half, "cam1.k3"), None);
+    }
 }

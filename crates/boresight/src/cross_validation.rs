@@ -17,25 +17,36 @@ use crate::held_out::{with_views, without_rejected};
 /// Returns the comparison of the calibrations from every other frame of `dataset`: the first, third
 /// and so on as a, the rest as b. Corners that `calibration` rejects are in neither, and both start from it.
 ///
-/// `options` are those that `calibration` was made with.
+/// `options` are those that `calibration` was made with. What they believe beforehand is left out: both halves would
+/// lean on it, and differ by less than their uncertainties say.
 pub fn cross_validate(
     dataset: &Dataset,
     calibration: &Calibration,
     options: &AdjustOptions,
     compare: &CompareOptions,
 ) -> Result<RigComparison, Error> {
+    let [a, b] = halves(dataset, calibration, options)?;
+    let uncertainties = [Some(&a.uncertainty), Some(&b.uncertainty)];
+    Ok(compare_known_rigs(&compared(&a), &compared(&b), uncertainties, compare)?)
+}
+
+/// Returns the calibrations from every other frame.
+pub(crate) fn halves(
+    dataset: &Dataset,
+    calibration: &Calibration,
+    options: &AdjustOptions,
+) -> Result<[Calibration; 2], Error> {
     let kept = without_rejected(dataset, calibration);
     let frames: BTreeSet<FrameId> = kept.views.iter().map(|view| view.frame).collect();
-    let options = AdjustOptions { rejection: Rejection::None, checkpoint: None, ..options.clone() };
+    let options =
+        AdjustOptions { rejection: Rejection::None, priors: Vec::new(), checkpoint: None, ..options.clone() };
     let half = |first: usize| -> Result<Calibration, Error> {
         let own: BTreeSet<FrameId> = frames.iter().copied().skip(first).step_by(2).collect();
         let part = with_views(&kept, |view| own.contains(&view.frame));
         Ok(adjust(&part, &calibration.scene, &options, None)?)
     };
     let (a, b) = rayon::join(|| half(0), || half(1));
-    let (a, b) = (a?, b?);
-    let uncertainties = [Some(&a.uncertainty), Some(&b.uncertainty)];
-    Ok(compare_known_rigs(&compared(&a), &compared(&b), uncertainties, compare)?)
+    Ok([a?, b?])
 }
 
 /// Returns the cameras of a calibration that were calibrated, ready to be compared.

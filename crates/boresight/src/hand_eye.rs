@@ -30,7 +30,7 @@ use boresight_io::{Job, RobotAxes};
 use boresight_seed::hand_eye::{HandEye, Method, PosePair, hand_eye as closed_form, pose_pair};
 use boresight_validate::verdict;
 
-use crate::calibrate::{Outcome, Watch, calibrate, known_lenses};
+use crate::calibrate::{Outcome, Watch, calibrate};
 use crate::error::Error;
 use crate::options::CalibrateOptions;
 
@@ -133,17 +133,11 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
         hand_eye = at_height(hand_eye, mounting, &pair.other_from_carrier, robot.height_m);
     }
 
-    let mut holds: Vec<Hold> =
-        known_lenses(job, &dataset).into_iter().map(|(camera, _)| Hold::Lens(camera)).collect();
+    let mut exact =
+        AdjustOptions { rejection: Rejection::None, cancel: watch.cancel.clone(), ..first.adjust.clone() };
     if robot.axes == RobotAxes::Four {
-        holds.push(Hold::BaseHeight);
+        exact.holds.push(Hold::BaseHeight);
     }
-    let exact = AdjustOptions {
-        holds,
-        rejection: Rejection::None,
-        cancel: watch.cancel.clone(),
-        ..options.cameras.adjust_options(&dataset)
-    };
     let mut seed = first.calibration.scene.clone();
     seed.robot = Some(Robot::mounted(mounting, hand_eye.carrier_from_rig, hand_eye.other_from_target));
     let seed = optimize(&dataset, &seed, &exact)?.scene;
@@ -235,7 +229,8 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     });
     let frames = frames.collect();
     let verdict = verdict(&findings);
-    let outcome = Outcome { calibration, dataset, findings, verdict, ..first };
+    let adjust = AdjustOptions { cancel: None, ..chosen_options.clone() };
+    let outcome = Outcome { calibration, dataset, findings, verdict, adjust, ..first };
     let jackknife = jackknife.map(|(sigmas, _)| sigmas).unwrap_or([f64::NAN; 6]);
     let chosen = n_closed + chosen;
     let clock = moving.as_ref().map(|moving| moving.clock);

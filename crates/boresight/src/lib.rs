@@ -43,8 +43,8 @@ mod uncertainty;
 mod verify;
 
 pub use boresight_adjust::{
-    Heights, ObjectPose, Observer, PoseNoise, Progress, RobotNoise, TipKnowledge, Touch, TouchLens,
-    TouchOptions, TouchedPlane, TriedModel,
+    AdjustOptions, Heights, ObjectPose, Observer, PoseNoise, Progress, RobotNoise, TipKnowledge, Touch,
+    TouchLens, TouchOptions, TouchedPlane, TriedModel,
 };
 pub use boresight_camera::{Camera, Model};
 pub use boresight_data::{

@@ -35,12 +35,8 @@ pub(crate) fn run(arguments: &ValidateArguments) -> Result<ExitCode, Failure> {
     options.model = arguments.model.clone().unwrap_or(options.model);
     let outcome = calibrate(&job, &options, &Watch::default())?;
     let compare_options = CompareOptions { distance_m: arguments.distance_m, ..CompareOptions::default() };
-    let comparison = cross_validate(
-        &outcome.dataset,
-        &outcome.calibration,
-        &options.adjust_options(&outcome.dataset),
-        &compare_options,
-    )?;
+    let comparison =
+        cross_validate(&outcome.dataset, &outcome.calibration, &outcome.adjust, &compare_options)?;
     let ratios = comparison.cameras.iter().filter_map(|camera| Some(camera.significance?.ratio));
     let Some(largest) = ratios.reduce(f64::max) else {
         let message = "half of the frames determine too little to tell how well they do";

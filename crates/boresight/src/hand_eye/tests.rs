@@ -142,6 +142,18 @@ fn the_wrong_mount_is_told() {
     }
 }
 
+#[test]
+fn what_is_held_in_the_cameras_own_calibration_is_held_with_the_robot() {
+    let made = synthetic(RobotRecipe::on_flange(), Recipe::mono());
+    let mut options = options(NoiseChoice::None);
+    options.cameras.hold = vec!["k3".parse().unwrap()];
+    let found = hand_eye(&job_of(&made, None), &options, &Watch::default()).unwrap();
+    let calibration = &found.outcome.calibration;
+    let lens = &calibration.scene.rig.cameras.as_slice()[0].as_ref().unwrap().camera;
+    assert_eq!((lens.params[8], crate::sigma_of(calibration, "cam0.k3")), (0.0, None));
+    assert!(found.outcome.adjust.holds.contains(&Hold::LensParam(boresight_data::CameraId(0), 8)));
+}
+
 /// Returns a recording of a robot that turns about the base's z only, its lens known, with a camera that looks
 /// down aslant; the truth, and the job.
 fn four_axis_recording() -> (HandEye, Job) {
