@@ -95,9 +95,11 @@ pub struct HandEyeOutcome {
 pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<HandEyeOutcome, Error> {
     let robot = job.robot.as_ref().ok_or(Error::NoRobotPoses)?;
     let first = calibrate(job, &options.cameras, watch)?;
+    // Frames that the chosen cameras did not see are gone.
+    let robot = robot.for_frames(&job.dataset, &first.dataset);
     let mut dataset = without_rejected(&first.dataset, &first.calibration);
-    let moving = while_moving::place_frames(robot, &mut dataset, &first.calibration.scene)?;
-    let robot = moving.as_ref().map_or(robot, |moving| &moving.robot);
+    let moving = while_moving::place_frames(&robot, &mut dataset, &first.calibration.scene)?;
+    let robot = moving.as_ref().map_or(&robot, |moving| &moving.robot);
     let frames = frames_told(&dataset, &first.calibration.scene);
     let poses: Vec<Pose> = frames.iter().map(|told| told.base_from_flange).collect();
     let told = robot.row_of_frame.iter().flatten().count();

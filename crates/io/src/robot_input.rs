@@ -52,6 +52,20 @@ pub struct RobotInput {
     pub frame_times_s: Vec<Option<f64>>,
 }
 
+impl RobotInput {
+    /// Returns the robot for another dataset of the same frames, or of some of them, by their names.
+    pub fn for_frames(&self, known: &Dataset, others: &Dataset) -> Self {
+        let place = |name: &str| known.frames.iter().position(|frame| frame.name == name);
+        let places: Vec<Option<usize>> = others.frames.iter().map(|frame| place(&frame.name)).collect();
+        let row_of_frame = places.iter().map(|place| *self.row_of_frame.get((*place)?)?).collect();
+        let frame_times_s = match self.frame_times_s.is_empty() {
+            true => Vec::new(),
+            false => places.iter().map(|place| *self.frame_times_s.get((*place)?)?).collect(),
+        };
+        Self { row_of_frame, frame_times_s, ..self.clone() }
+    }
+}
+
 /// About how many axes a robot turns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RobotAxes {

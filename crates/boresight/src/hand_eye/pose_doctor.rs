@@ -31,8 +31,9 @@ pub struct PoseReadings {
 pub fn read_poses(job: &Job, options: &CalibrateOptions) -> Result<PoseReadings, Error> {
     let robot = job.robot.as_ref().ok_or(Error::NoRobotPoses)?;
     let first = calibrate(job, options, &Watch::default())?;
+    let robot = robot.for_frames(&job.dataset, &first.dataset);
     let dataset = without_rejected(&first.dataset, &first.calibration);
-    Ok(pose_readings(robot, &dataset, &first.calibration.scene))
+    Ok(pose_readings(&robot, &dataset, &first.calibration.scene))
 }
 
 /// Tries all readings on calibrated cameras.

@@ -143,6 +143,24 @@ fn the_wrong_mount_is_told() {
 }
 
 #[test]
+fn frames_that_a_chosen_camera_did_not_see_shift_no_rows() {
+    let mut made = synthetic(RobotRecipe::on_flange(), Recipe::stereo());
+    let (camera, frame) = (boresight_data::CameraId(0), FrameId(3));
+    made.dataset.views.retain(|view| (view.camera, view.frame) != (camera, frame));
+    let n_seen = made.dataset.views.iter().filter(|view| view.camera == camera).count();
+    assert!((8..16).contains(&n_seen), "{n_seen}");
+    let job = job_of(&made, Some(Mounting::RigOnFlange));
+    let mut options = options(NoiseChoice::None);
+    options.cameras.cameras = vec!["cam0".to_owned()];
+    let read = read_poses(&job, &options.cameras).unwrap();
+    assert_eq!((read.stated, read.frames.len()), (Some(0), n_seen), "{:?}", &read.readings[..2]);
+    assert!(read.finding.is_none(), "{:?}", read.finding);
+    let found = hand_eye(&job, &options, &Watch::default()).unwrap();
+    let codes: Vec<&str> = found.outcome.findings.iter().map(|finding| finding.code.as_str()).collect();
+    assert!(!codes.contains(&"robot-poses-read"), "{codes:?}");
+}
+
+#[test]
 fn what_is_held_in_the_cameras_own_calibration_is_held_with_the_robot() {
     let made = synthetic(RobotRecipe::on_flange(), Recipe::mono());
     let mut options = options(NoiseChoice::None);
