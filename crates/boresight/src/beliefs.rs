@@ -11,7 +11,7 @@ use boresight_io::read_calibration;
 
 use crate::choices::BadChoice;
 use crate::error::Error;
-use crate::options::{CalibrateOptions, base_sigma_px};
+use crate::options::{CalibrateOptions, typical_sigma_px};
 
 /// The columns of a pose, as calibrations name them.
 const POSE_COLUMNS: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m"];
@@ -140,11 +140,12 @@ impl Earlier {
         let uncertainty = &self.calibration.uncertainty;
         let n_all = uncertainty.names.len();
         // What is written contains the noise there was, in pixels; the new fit has residuals in units of its
-        // stated sigma, and multiplies by the noise it finds.
+        // stated sigmas, and multiplies by the noise it finds: by the same noise, its square is noise_px² over the
+        // mean of their squares.
         let n_corners: usize = self.calibration.cameras.iter().map(|camera| camera.observations).sum();
         let freedom = uncertainty.degrees_of_freedom.max(1) as f64;
         let noise_px = self.calibration.rms_px * (n_corners as f64 / freedom).sqrt();
-        let factor = (base_sigma_px(dataset) / noise_px).powi(2);
+        let factor = (typical_sigma_px(dataset) / noise_px).powi(2);
         let covariance = places
             .iter()
             .flat_map(|&i| places.iter().map(move |&j| factor * uncertainty.covariance[i * n_all + j]))

@@ -132,6 +132,37 @@ fn an_earlier_calibration_is_a_prior_and_its_uncertainty_carries_on() {
 }
 
 #[test]
+fn a_prior_weighs_as_much_where_corners_have_sigmas_of_their_own() {
+    let recipe = Recipe { frames: 40, ..Recipe::mono() };
+    // Every fourth corner is five times as good as the others.
+    let mixed = |recipe: &Recipe, seed: u64| {
+        let mut made = simulate(recipe, seed);
+        for (view, clean_px) in made.dataset.views.iter_mut().zip(&made.clean_px) {
+            for (i, (observation, clean_px)) in view.observations.iter_mut().zip(clean_px).enumerate() {
+                let factor = if i % 4 == 0 { 0.4 } else { 2.0 };
+                observation.sigma_px *= factor;
+                for (pixel, clean_px) in observation.pixel.iter_mut().zip(clean_px) {
+                    *pixel = clean_px + factor * (*pixel - clean_px);
+                }
+            }
+        }
+        made.dataset
+    };
+    let (watch, plain) = (Watch::default(), CalibrateOptions::default());
+    let earlier = calibrate(&job(mixed(&recipe, 5)), &plain, &watch).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    crate::write_results(&earlier, folder.path()).unwrap();
+    let prior = CalibrateOptions { prior: Some(folder.path().to_owned()), ..plain };
+    let few = mixed(&Recipe { frames: 4, ..recipe }, 6);
+    let both = calibrate(&job(few), &prior, &watch).unwrap().calibration;
+    for name in ["cam0.fx", "cam0.cx", "cam0.k1"] {
+        let [before, all] = [&earlier.calibration, &both].map(|c| crate::sigma_of(c, name).unwrap());
+        // A tenth more views tell little more; the noise factors of both differ by a few percent.
+        assert!(all < 1.08 * before && all > 0.8 * before, "{name}: {before} {all}");
+    }
+}
+
+#[test]
 fn cameras_may_share_a_lens_and_parameters_may_be_held() {
     let mut recipe = Recipe::stereo();
     recipe.cameras[1].camera = recipe.cameras[0].camera.clone();

@@ -102,7 +102,7 @@ impl CalibrateOptions {
         AdjustOptions {
             loss: match self.loss {
                 LossChoice::None => Loss::None,
-                LossChoice::Cauchy { px } => Loss::Cauchy { sigmas: px / base_sigma_px(dataset) },
+                LossChoice::Cauchy { px } => Loss::Cauchy { sigmas: px / typical_sigma_px(dataset) },
             },
             rejection: match self.reject {
                 RejectChoice::None => Rejection::None,
@@ -119,11 +119,12 @@ impl CalibrateOptions {
     }
 }
 
-/// Returns the sigma of the best corners: that of all of them, where they have but one.
-pub(crate) fn base_sigma_px(dataset: &Dataset) -> f64 {
+/// Returns the root of the mean squared sigma of all corners, in pixels, which an RMS in pixels goes with.
+pub(crate) fn typical_sigma_px(dataset: &Dataset) -> f64 {
     let observations = dataset.views.iter().flat_map(|view| &view.observations);
-    let least = observations.map(|observation| observation.sigma_px).fold(f64::INFINITY, f64::min);
-    if least.is_finite() && least > 0.0 { least } else { 1.0 }
+    let squares = observations.map(|observation| observation.sigma_px * observation.sigma_px);
+    let typical = (squares.sum::<f64>() / dataset.observation_count().max(1) as f64).sqrt();
+    if typical.is_finite() && typical > 0.0 { typical } else { 1.0 }
 }
 
 /// Values that a file states as text; a bare number will do where the text would be one.
