@@ -100,8 +100,28 @@ impl Earlier {
         self.calibration.uncertainty.names.iter().position(|known| known == name)
     }
 
-    /// Puts what is known into the seed and returns it as a prior; what was held is held again.
-    fn apply(&self, dataset: &Dataset, seed: &mut Scene, holds: &mut Vec<Hold>) -> Result<Prior, Error> {
+    /// Puts what is known into the seed and returns it as a prior; what was held is held again. `None` if all was.
+    ///
+    /// Lenses that the job states stay as they are.
+    fn apply(
+        &self,
+        dataset: &Dataset,
+        stated: &[(CameraId, Camera)],
+        seed: &mut Scene,
+        holds: &mut Vec<Hold>,
+    ) -> Result<Option<Prior>, Error> {
+        let unusable = |why: &str| Error::NoPrior { path: self.path.clone(), why: why.to_owned() };
+        if let Some(why) = &self.calibration.uncertainty.unavailable {
+            return Err(unusable(why));
+        }
+        if !dataset.cameras.iter().any(|info| self.camera(&info.name).is_some()) {
+            return Err(unusable("it has no camera of this dataset"));
+        }
+        let uncertainty = &self.calibration.uncertainty;
+        let n_all = uncertainty.names.len();
+        if uncertainty.covariance.len() != n_all * n_all {
+            return Err(unusable("it has no covariance"));
+        }
         let reference = seed.rig.reference();
         let same_rig = reference.is_some_and(|id| self.reference() == Some(&dataset.cameras[id].name));
         let (mut quantities, mut places) = (Vec::new(), Vec::new());
@@ -109,8 +129,12 @@ impl Earlier {
             let (Some(known), Some(placed)) = (self.camera(&info.name), &mut seed.rig.cameras[id]) else {
                 continue;
             };
-            placed.camera.params.clone_from(&known.camera.params);
-            for (param, name) in known.camera.model.param_names().iter().enumerate() {
+            let is_stated = stated.iter().any(|(camera, _)| *camera == id);
+            if !is_stated {
+                placed.camera.params.clone_from(&known.camera.params);
+            }
+            let names = if is_stated { Vec::new() } else { known.camera.model.param_names() };
+            for (param, name) in names.iter().enumerate() {
                 match self.place(&format!("{}.{name}", info.name)) {
                     Some(place) => {
                         quantities.push(Quantity::LensParam(id, param, known.camera.params[param]));
@@ -121,24 +145,23 @@ impl Earlier {
             }
             let columns =
                 POSE_COLUMNS.map(|column| self.place(&format!("{}.cam_from_rig.{column}", info.name)));
-            if same_rig {
-                placed.cam_from_rig = known.cam_from_rig;
+            if !same_rig {
+                continue;
             }
-            if same_rig
-                && reference != Some(id)
-                && let [Some(_), Some(_), Some(_), Some(_), Some(_), Some(_)] = columns
-            {
+            placed.cam_from_rig = known.cam_from_rig;
+            if reference == Some(id) {
+                continue;
+            }
+            if columns.iter().all(Option::is_some) {
                 quantities.push(Quantity::CamFromRig(id, known.cam_from_rig));
                 places.extend(columns.iter().flatten());
+            } else {
+                holds.push(Hold::CamFromRig(id));
             }
         }
         if quantities.is_empty() {
-            let why = self.calibration.uncertainty.unavailable.clone();
-            let why = why.unwrap_or_else(|| "it has no camera of this dataset".to_owned());
-            return Err(Error::NoPrior { path: self.path.clone(), why });
+            return Ok(None);
         }
-        let uncertainty = &self.calibration.uncertainty;
-        let n_all = uncertainty.names.len();
         // What is written contains the noise there was, in pixels; the new fit has residuals in units of its
         // stated sigmas, and multiplies by the noise it finds: by the same noise, its square is noise_px² over the
         // mean of their squares.
@@ -150,7 +173,7 @@ impl Earlier {
             .iter()
             .flat_map(|&i| places.iter().map(move |&j| factor * uncertainty.covariance[i * n_all + j]))
             .collect();
-        Ok(Prior { quantities, covariance })
+        Ok(Some(Prior { quantities, covariance }))
     }
 }
 
@@ -166,8 +189,8 @@ pub(crate) fn apply_beliefs(
     adjust: &mut AdjustOptions,
 ) -> Result<(), Error> {
     if let Some(earlier) = earlier {
-        let prior = earlier.apply(dataset, seed, &mut adjust.holds)?;
-        adjust.priors.push(prior);
+        let prior = earlier.apply(dataset, known, seed, &mut adjust.holds)?;
+        adjust.priors.extend(prior);
     }
     let find = |name: &str| -> Result<CameraId, Error> {
         let found = dataset.cameras.enumerate().find(|(_, camera)| camera.name == name);

@@ -132,6 +132,48 @@ fn an_earlier_calibration_is_a_prior_and_its_uncertainty_carries_on() {
 }
 
 #[test]
+fn what_an_earlier_calibration_held_is_held_again_and_stated_lenses_stay() {
+    let recipe = Recipe { frames: 8, ..Recipe::stereo() };
+    let made = [5, 6, 7].map(|seed| simulate(&recipe, seed).dataset);
+    let watch = Watch::default();
+    let folder = tempfile::tempdir().unwrap();
+    let written = |outcome: &Outcome, name: &str| {
+        crate::write_results(outcome, &folder.path().join(name)).unwrap();
+        Some(folder.path().join(name))
+    };
+    let [first, second, third] = made.map(job);
+    let plain = calibrate(&first, &CalibrateOptions::default(), &watch).unwrap();
+    let prior = written(&plain, "plain");
+    let hold = vec!["lens".parse().unwrap(), "pose".parse().unwrap()];
+    let options = CalibrateOptions { prior: prior.clone(), hold, ..CalibrateOptions::default() };
+    let held = calibrate(&second, &options, &watch).unwrap();
+    // It says nothing with a sigma, and all of it holds.
+    let options = CalibrateOptions { prior: written(&held, "held"), ..CalibrateOptions::default() };
+    let again = calibrate(&third, &options, &watch).unwrap();
+    assert!(again.adjust.priors.is_empty());
+    assert_eq!(again.calibration.scene.rig, plain.calibration.scene.rig);
+    for name in ["cam0.fx", "cam1.k1", "cam1.cam_from_rig.tx_m"] {
+        assert_eq!(crate::sigma_of(&again.calibration, name), None, "{name}");
+    }
+
+    // A lens that the job states is not the earlier calibration's; the other camera's is.
+    let lens = |outcome: &Outcome, id: u32| {
+        outcome.calibration.scene.rig.cameras[CameraId(id)].as_ref().unwrap().camera.clone()
+    };
+    let mut stated = lens(&plain, 1);
+    stated.params[0] += 0.5;
+    let third = Job { known_lenses: vec![("cam1".to_owned(), stated.clone())], ..third };
+    let outcome =
+        calibrate(&third, &CalibrateOptions { prior, ..CalibrateOptions::default() }, &watch).unwrap();
+    assert_eq!(lens(&outcome, 1), stated);
+    assert!(
+        crate::sigma_of(&outcome.calibration, "cam0.fx").unwrap()
+            < 1.05 * crate::sigma_of(&plain.calibration, "cam0.fx").unwrap()
+    );
+    assert!(crate::sigma_of(&outcome.calibration, "cam1.cam_from_rig.tx_m").is_some());
+}
+
+#[test]
 fn a_prior_weighs_as_much_where_corners_have_sigmas_of_their_own() {
     let recipe = Recipe { frames: 40, ..Recipe::mono() };
     // Every fourth corner is five times as good as the others.
