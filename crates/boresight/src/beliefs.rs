@@ -12,6 +12,7 @@ use boresight_io::read_calibration;
 use crate::choices::BadChoice;
 use crate::error::Error;
 use crate::options::{CalibrateOptions, typical_sigma_px};
+use crate::shared_lens::{Group, camera_of, sharers};
 
 /// The columns of a pose, as calibrations name them.
 const POSE_COLUMNS: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m"];
@@ -124,7 +125,8 @@ impl Earlier {
         }
         let reference = seed.rig.reference();
         let same_rig = reference.is_some_and(|id| self.reference() == Some(&dataset.cameras[id].name));
-        let (mut quantities, mut places) = (Vec::new(), Vec::new());
+        let row = |place: usize| &uncertainty.covariance[place * n_all..(place + 1) * n_all];
+        let (mut quantities, mut places): (Vec<Quantity>, Vec<usize>) = (Vec::new(), Vec::new());
         for (id, info) in dataset.cameras.enumerate() {
             let (Some(known), Some(placed)) = (self.camera(&info.name), &mut seed.rig.cameras[id]) else {
                 continue;
@@ -136,6 +138,8 @@ impl Earlier {
             let names = if is_stated { Vec::new() } else { known.camera.model.param_names() };
             for (param, name) in names.iter().enumerate() {
                 match self.place(&format!("{}.{name}", info.name)) {
+                    // Of a lens that cameras shared the same is said of each of them, and counts once.
+                    Some(place) if places.iter().any(|known| row(*known) == row(place)) => {}
                     Some(place) => {
                         quantities.push(Quantity::LensParam(id, param, known.camera.params[param]));
                         places.push(place);
@@ -177,84 +181,118 @@ impl Earlier {
     }
 }
 
-/// Puts what is known beforehand into the seed and the options of an adjustment.
-///
-/// `known` are the lenses that the job states.
-pub(crate) fn apply_beliefs(
-    options: &CalibrateOptions,
-    earlier: Option<&Earlier>,
-    known: &[(CameraId, Camera)],
-    dataset: &Dataset,
-    seed: &mut Scene,
-    adjust: &mut AdjustOptions,
-) -> Result<(), Error> {
-    if let Some(earlier) = earlier {
-        let prior = earlier.apply(dataset, known, seed, &mut adjust.holds)?;
-        adjust.priors.extend(prior);
+/// What is known beforehand.
+#[derive(Clone, Copy)]
+pub(crate) struct Beliefs<'a> {
+    pub options: &'a CalibrateOptions,
+    pub earlier: Option<&'a Earlier>,
+    /// The lenses that the job states.
+    pub stated: &'a [(CameraId, Camera)],
+    /// The cameras that share a lens.
+    pub groups: &'a [Group],
+}
+
+impl Beliefs<'_> {
+    /// Puts what is known beforehand into the seed and the options of an adjustment.
+    pub(crate) fn apply(
+        &self,
+        dataset: &Dataset,
+        seed: &mut Scene,
+        adjust: &mut AdjustOptions,
+    ) -> Result<(), Error> {
+        if let Some(earlier) = self.earlier {
+            let prior = earlier.apply(dataset, self.stated, seed, &mut adjust.holds)?;
+            adjust.priors.extend(prior);
+        }
+        for group in self.groups {
+            self.share(dataset, group, seed);
+            adjust.shares.push(Share::Lens(group.clone()));
+        }
+        for hold in &self.options.hold {
+            self.hold(hold, dataset, seed, &mut adjust.holds)?;
+        }
+        Ok(())
     }
-    let find = |name: &str| -> Result<CameraId, Error> {
-        let found = dataset.cameras.enumerate().find(|(_, camera)| camera.name == name);
-        found.map(|(id, _)| id).ok_or_else(|| Error::UnknownCamera {
-            name: name.to_owned(),
-            known: dataset.cameras.iter().map(|camera| camera.name.clone()).collect(),
-        })
-    };
-    let name_of = |id: CameraId| dataset.cameras[id].name.as_str();
-    let has_lens = |id: CameraId| {
-        known.iter().any(|(known, _)| *known == id)
-            || earlier.is_some_and(|earlier| earlier.camera(name_of(id)).is_some())
-    };
-    let reference = seed.rig.reference();
-    let has_pose = |id: CameraId| {
-        reference == Some(id)
-            || earlier.is_some_and(|earlier| {
-                earlier.camera(name_of(id)).is_some() && earlier.reference() == reference.map(name_of)
-            })
-    };
-    let untold = |id: CameraId, what: &str| Error::NothingToHold {
-        camera: name_of(id).to_owned(),
-        what: what.to_owned(),
-    };
-    for hold in &options.hold {
+
+    /// Tells whether the lens of a camera itself is known.
+    fn is_told(&self, dataset: &Dataset, camera: CameraId) -> bool {
+        self.stated.iter().any(|(known, _)| *known == camera)
+            || self.earlier.is_some_and(|earlier| earlier.camera(&dataset.cameras[camera].name).is_some())
+    }
+
+    /// Gives all cameras of a group the lens that is known of one of them, or else that of the first.
+    fn share(&self, dataset: &Dataset, group: &Group, seed: &mut Scene) {
+        let placed = || group.iter().copied().filter(|id| seed.rig.cameras[*id].is_some());
+        let Some(first) = placed().find(|id| self.is_told(dataset, *id)).or_else(|| placed().next()) else {
+            return;
+        };
+        let lens = seed.rig.cameras[first].as_ref().map(|placed| placed.camera.params.clone());
+        for id in group {
+            if let (Some(placed), Some(lens)) = (&mut seed.rig.cameras[*id], &lens) {
+                placed.camera.params.clone_from(lens);
+            }
+        }
+    }
+
+    fn hold(
+        &self,
+        hold: &HoldChoice,
+        dataset: &Dataset,
+        seed: &mut Scene,
+        holds: &mut Vec<Hold>,
+    ) -> Result<(), Error> {
         if hold.what == "shape" {
-            adjust.holds.push(Hold::Shapes);
-            continue;
+            holds.push(Hold::Shapes);
+            return Ok(());
         }
         let cameras: Vec<CameraId> = match &hold.camera {
-            Some(name) => vec![find(name)?],
+            Some(name) => vec![camera_of(dataset, name)?],
             None => dataset.cameras.ids().collect(),
         };
+        let name_of = |id: CameraId| dataset.cameras[id].name.as_str();
+        let reference = seed.rig.reference();
+        let has_pose = |id: CameraId| {
+            reference == Some(id)
+                || self.earlier.is_some_and(|earlier| {
+                    earlier.camera(name_of(id)).is_some() && earlier.reference() == reference.map(name_of)
+                })
+        };
+        let untold =
+            |id: CameraId| Error::NothingToHold { camera: name_of(id).to_owned(), what: hold.what.clone() };
         for id in cameras {
-            let Some(placed) = &mut seed.rig.cameras[id] else { continue };
+            let sharers = sharers(self.groups, id);
+            let has_lens = sharers.iter().any(|sharer| self.is_told(dataset, *sharer));
+            let Some(placed) = &seed.rig.cameras[id] else { continue };
             match hold.what.as_str() {
-                "lens" if has_lens(id) => adjust.holds.push(Hold::Lens(id)),
-                "pose" if has_pose(id) => adjust.holds.push(Hold::CamFromRig(id)),
-                "lens" | "pose" => return Err(untold(id, &hold.what)),
+                "lens" if has_lens => holds.push(Hold::Lens(id)),
+                "pose" if has_pose(id) => holds.push(Hold::CamFromRig(id)),
+                "lens" | "pose" => return Err(untold(id)),
                 name => {
-                    let camera = &mut placed.camera;
+                    let camera = &placed.camera;
                     let Some(param) = camera.model.param_names().iter().position(|known| *known == name)
                     else {
                         continue;
                     };
-                    if !has_lens(id) {
+                    if !has_lens {
                         // What nothing tells is held where a lens without distortion has it.
                         if camera.model.param_groups()[param] == ParamGroup::Focal {
-                            return Err(untold(id, name));
+                            return Err(untold(id));
                         }
                         let [fx, fy] = [0, 1].map(|i| camera.params[i]);
                         let [cx, cy] = camera.image_size.map(|size| 0.5 * (f64::from(size) - 1.0));
-                        camera.params[param] = camera.model.undistorted([fx, fy, cx, cy])[param];
+                        let value = camera.model.undistorted([fx, fy, cx, cy])[param];
+                        for sharer in &sharers {
+                            if let Some(placed) = &mut seed.rig.cameras[*sharer] {
+                                placed.camera.params[param] = value;
+                            }
+                        }
                     }
-                    adjust.holds.push(Hold::LensParam(id, param));
+                    holds.push(Hold::LensParam(id, param));
                 }
             }
         }
+        Ok(())
     }
-    for names in &options.share_lens {
-        let cameras = names.split('+').map(find).collect::<Result<Vec<CameraId>, Error>>()?;
-        adjust.shares.push(Share::Lens(cameras));
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use boresight_seed::{LeftOut, SeedOptions, seed};
 use boresight_validate::{Verdict, verdict};
 
 use crate::VERSION;
-use crate::beliefs::{Earlier, apply_beliefs};
+use crate::beliefs::{Beliefs, Earlier};
 use crate::choices::{LensModel, ShapeChoice};
 use crate::error::Error;
 use crate::held_out::held_out;
@@ -19,6 +19,7 @@ use crate::lens_choice::{LensSelection, choose_lens};
 use crate::options::CalibrateOptions;
 use crate::select::select_cameras;
 use crate::shape_choice::{ShapeSelection, choose_shape};
+use crate::shared_lens::{Group, apart, groups, sharers, spread, spread_stated};
 
 /// Who follows a calibration while it runs, and may stop it.
 #[derive(Clone, Default)]
@@ -63,14 +64,17 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
             (_, ShapeChoice::Two | ShapeChoice::Auto) => Shape::Parabolic2,
         };
     }
-    let stated = known_lenses(job, &dataset);
+    let groups = groups(&dataset, &options.share_lens)?;
+    let mut stated = known_lenses(job, &dataset);
+    spread_stated(&dataset, &groups, &mut stated)?;
     let earlier = options.prior.as_deref().map(Earlier::read).transpose()?;
     let mut known = stated.clone();
     if let Some(earlier) = &earlier {
         let lenses = earlier.lenses(&dataset)?;
         known.extend(lenses.into_iter().filter(|(id, _)| !stated.iter().any(|(other, _)| other == id)));
+        spread(&groups, &mut known);
     }
-    let (models, lenses) = with_threads(options.jobs, || lens_models(&dataset, &known, options))?;
+    let (models, lenses) = with_threads(options.jobs, || lens_models(&dataset, &known, &groups, options))?;
     let shape = (options.shape == ShapeChoice::Auto)
         .then(|| with_threads(options.jobs, || choose_shape(&dataset, &models, options)));
     if shape.as_ref().is_some_and(|shape| !shape.helps) {
@@ -80,7 +84,8 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
     let seed_options = SeedOptions { models, known, ..SeedOptions::default() };
     let mut seed = seed(&dataset, &seed_options)?;
     let mut adjust_options = AdjustOptions { holds, ..options.adjust_options(&dataset) };
-    apply_beliefs(options, earlier.as_ref(), &stated, &dataset, &mut seed.scene, &mut adjust_options)?;
+    let beliefs = Beliefs { options, earlier: earlier.as_ref(), stated: &stated, groups: &groups };
+    beliefs.apply(&dataset, &mut seed.scene, &mut adjust_options)?;
     adjust_options.cancel = watch.cancel.clone();
     let mut calibration = adjust(&dataset, &seed.scene, &adjust_options, watch.observer.clone())?;
     say_why(&mut calibration, &dataset, &seed.left_out);
@@ -114,18 +119,36 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
 fn lens_models(
     dataset: &Dataset,
     known: &[(CameraId, Camera)],
+    groups: &[Group],
     options: &CalibrateOptions,
 ) -> Result<(Vec<Model>, Vec<LensSelection>), Error> {
     let names = || dataset.cameras.iter().map(|camera| camera.name.clone());
     if let Some(name) = options.model.by_camera.keys().find(|name| !names().any(|known| known == **name)) {
         return Err(Error::UnknownCamera { name: name.clone(), known: names().collect() });
     }
+    let asked = |id: CameraId| match known.iter().find(|(known, _)| *known == id) {
+        Some((_, lens)) => LensModel::Given(lens.model),
+        None => options.model.of(&dataset.cameras[id].name),
+    };
+    // A lens that is shared has one model: that which is given for any of its cameras.
+    let given = |id: CameraId| match asked(id) {
+        LensModel::Given(model) => Some((id, model)),
+        LensModel::Auto => None,
+    };
+    for group in groups {
+        let mut given = group.iter().filter_map(|id| given(*id));
+        if let Some((first, model)) = given.next()
+            && let Some((other, other_model)) = given.find(|(_, other)| *other != model)
+        {
+            let why = format!("it is {model} for one and {other_model} for the other");
+            return Err(apart(dataset, [first, other], why));
+        }
+    }
     let (mut models, mut lenses) = (Vec::new(), Vec::new());
     for (id, info) in dataset.cameras.enumerate() {
-        let model = match (known.iter().find(|(known, _)| *known == id), options.model.of(&info.name)) {
-            (Some((_, lens)), _) => lens.model,
-            (None, LensModel::Given(model)) => model,
-            (None, LensModel::Auto) => {
+        let model = match sharers(groups, id).into_iter().find_map(given) {
+            Some((_, model)) => model,
+            None => {
                 let selection = choose_lens(dataset, &info.name, options)?;
                 let model = selection.model;
                 lenses.push(selection);

@@ -220,6 +220,18 @@ fn cameras_may_share_a_lens_and_parameters_may_be_held() {
     assert_eq!(lens(0), lens(1));
     assert_eq!(lens(0)[8], 0.0);
     assert!((lens(0)[0] - 1100.0).abs() < 3.0, "{:?}", lens(0));
+    // As a prior, what it says of one lens twice counts once.
+    let folder = tempfile::tempdir().unwrap();
+    crate::write_results(&outcome, folder.path()).unwrap();
+    for share_lens in [options.share_lens.clone(), Vec::new()] {
+        let options = CalibrateOptions {
+            prior: Some(folder.path().to_owned()),
+            share_lens,
+            ..CalibrateOptions::default()
+        };
+        let again = calibrate(&job(simulate(&recipe, 10).dataset), &options, &Watch::default()).unwrap();
+        assert_eq!(again.calibration.uncertainty.unavailable, None);
+    }
     // Both halves hold and share the same.
     let halves = crate::cross_validation::halves(&outcome.dataset, &outcome.calibration, &outcome.adjust);
     for half in halves.unwrap() {
@@ -227,4 +239,29 @@ fn cameras_may_share_a_lens_and_parameters_may_be_held() {
         assert_eq!((lens(0)[8], lens(0)), (0.0, lens(1)));
         assert_eq!(crate::sigma_of(&half, "cam1.k3"), None);
     }
+}
+
+#[test]
+fn what_is_told_of_one_camera_is_told_of_all_that_share_its_lens() {
+    let mut recipe = Recipe::stereo();
+    recipe.cameras[1].camera = recipe.cameras[0].camera.clone();
+    let made = simulate(&recipe, 9);
+    let share = CalibrateOptions { share_lens: vec!["cam1+cam0".to_owned()], ..CalibrateOptions::default() };
+    let lens = |outcome: &Outcome, id: u32| {
+        outcome.calibration.scene.rig.cameras[CameraId(id)].as_ref().unwrap().camera.clone()
+    };
+    // A parameter of the second camera is held where it says.
+    let options = CalibrateOptions { hold: vec!["k3:cam1".parse().unwrap()], ..share.clone() };
+    let held = calibrate(&job(made.dataset.clone()), &options, &Watch::default()).unwrap();
+    assert_eq!((lens(&held, 0).params[8], lens(&held, 1).params[8]), (0.0, 0.0));
+    // A lens that is stated for the second camera is the first's too.
+    let truth = recipe.cameras[0].camera.clone();
+    let stated = Job { known_lenses: vec![("cam1".to_owned(), truth.clone())], ..job(made.dataset.clone()) };
+    let known = calibrate(&stated, &share, &Watch::default()).unwrap();
+    assert_eq!((lens(&known, 0), lens(&known, 1)), (truth.clone(), truth));
+    // Models that differ are refused before anything is fitted.
+    let options = CalibrateOptions { model: "opencv5,cam1=eucm".parse().unwrap(), ..share };
+    let refused = calibrate(&job(made.dataset), &options, &Watch::default()).unwrap_err();
+    assert_eq!(refused.kind(), crate::ErrorKind::Usage);
+    assert!(refused.to_string().contains("it is opencv5 for one and eucm for the other"), "{refused}");
 }

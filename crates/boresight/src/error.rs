@@ -54,6 +54,14 @@ pub enum Error {
         /// What is to be held.
         what: String,
     },
+    /// Cameras are to share a lens and cannot.
+    #[error("option share_lens: cameras {} and {} cannot share a lens: {why}", cameras[0], cameras[1])]
+    LensesApart {
+        /// The names of two of them.
+        cameras: [String; 2],
+        /// Why not.
+        why: String,
+    },
     /// The target's pose could be found in no frame.
     #[error("the target's pose could be found in none of the {views} views")]
     NothingPlaced {
@@ -146,6 +154,7 @@ impl Error {
             | Error::UnknownCamera { .. }
             | Error::NoPrior { .. }
             | Error::NothingToHold { .. }
+            | Error::LensesApart { .. }
             | Error::Noncentral { .. }
             | Error::NoRobotPoses => ErrorKind::Usage,
             Error::UnreadablePoses { .. } | Error::Unpaired { .. } => ErrorKind::Input,

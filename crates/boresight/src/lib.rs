@@ -37,6 +37,7 @@ mod robot_plane;
 mod robot_texts;
 mod select;
 mod shape_choice;
+mod shared_lens;
 mod stereo;
 mod trial;
 mod uncertainty;
