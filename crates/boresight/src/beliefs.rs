@@ -259,6 +259,9 @@ impl Beliefs<'_> {
         };
         let untold =
             |id: CameraId| Error::NothingToHold { camera: name_of(id).to_owned(), what: hold.what.clone() };
+        // A parameter that some of all cameras have is held where it is; one that is asked for in vain is an error.
+        let mut lacking = None;
+        let mut is_found = false;
         for id in cameras {
             let sharers = sharers(self.groups, id);
             let has_lens = sharers.iter().any(|sharer| self.is_told(dataset, *sharer));
@@ -271,8 +274,10 @@ impl Beliefs<'_> {
                     let camera = &placed.camera;
                     let Some(param) = camera.model.param_names().iter().position(|known| *known == name)
                     else {
+                        lacking = lacking.or(Some(id));
                         continue;
                     };
+                    is_found = true;
                     if !has_lens {
                         // What nothing tells is held where a lens without distortion has it.
                         if camera.model.param_groups()[param] == ParamGroup::Focal {
@@ -291,7 +296,15 @@ impl Beliefs<'_> {
                 }
             }
         }
-        Ok(())
+        match lacking.and_then(|id| Some((id, seed.rig.cameras[id].as_ref()?.camera.model))) {
+            Some((id, model)) if !is_found => Err(Error::NoParameter {
+                camera: name_of(id).to_owned(),
+                model: model.to_string(),
+                what: hold.what.clone(),
+                known: model.param_names(),
+            }),
+            _ => Ok(()),
+        }
     }
 }
 

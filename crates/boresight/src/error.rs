@@ -54,6 +54,18 @@ pub enum Error {
         /// What is to be held.
         what: String,
     },
+    /// A lens parameter is to be held that the lens does not have.
+    #[error("option hold: camera {camera} ({model}) has no parameter {what}")]
+    NoParameter {
+        /// The camera's name.
+        camera: String,
+        /// Its lens model.
+        model: String,
+        /// What is to be held.
+        what: String,
+        /// The parameters that it has.
+        known: Vec<&'static str>,
+    },
     /// Cameras are to share a lens and cannot.
     #[error("option share_lens: cameras {} and {} cannot share a lens: {why}", cameras[0], cameras[1])]
     LensesApart {
@@ -154,6 +166,7 @@ impl Error {
             | Error::UnknownCamera { .. }
             | Error::NoPrior { .. }
             | Error::NothingToHold { .. }
+            | Error::NoParameter { .. }
             | Error::LensesApart { .. }
             | Error::Noncentral { .. }
             | Error::NoRobotPoses => ErrorKind::Usage,
@@ -206,6 +219,14 @@ impl Error {
             ),
             Error::NothingToHold { .. } => {
                 text("state the earlier calibration that says it with --prior, or the lens in the job file")
+            }
+            Error::NoParameter { known, .. } => {
+                const SHOWN: usize = 18;
+                let more = match known.len().saturating_sub(SHOWN) {
+                    0 => String::new(),
+                    more => format!(" and {more} others"),
+                };
+                Some(format!("it has {}{more}", known[..known.len().min(SHOWN)].join(", ")))
             }
             Error::Noncentral { .. } => text(
                 "take --model cahvor, or auto; a calibrated CAHVORE lens can be used, converted and compared",

@@ -107,6 +107,8 @@ fn mistakes_on_the_command_line_are_named() {
         (&["--model", "opencv5,middle=eucm"], &["no camera `middle`", "left, right"]),
         (&["--model", "cahvore"], &["cahvore cannot be calibrated", "hint: take --model cahvor"]),
         (&["--hold", "k99"], &["`k99` is not one of", "lens"]),
+        (&["--hold", "k4"], &["camera left (opencv5) has no parameter k4", "hint: it has fx, fy"]),
+        (&["--model", "opencv8,right=opencv5", "--hold", "k4:right"], &["camera right (opencv5) has no"]),
         (&["--hold", "fx"], &["fx of camera left cannot be held", "--prior"]),
         (&["--share-lens", "left+middle"], &["no camera `middle`", "left, right"]),
         (&["--shape", "3"], &["`3` is not one of: none, 2"]),
