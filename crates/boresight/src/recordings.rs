@@ -24,6 +24,18 @@ pub fn detect_recordings(
     job: &RecordingJob,
     watch: &DetectWatch<'_>,
 ) -> Result<(Contents, Vec<SeenRecorded>), Error> {
+    detect_while_reading(job, watch, |deliver| job.read(deliver))
+}
+
+/// Takes images from whoever is told of them.
+type Deliver<'a> = &'a mut dyn FnMut(RecordedImage) -> ControlFlow<()>;
+
+/// Detects the target in each image that `read` delivers.
+fn detect_while_reading(
+    job: &RecordingJob,
+    watch: &DetectWatch<'_>,
+    read: impl FnOnce(Deliver<'_>) -> Result<Contents, Error>,
+) -> Result<(Contents, Vec<SeenRecorded>), Error> {
     let threads = rayon::current_num_threads().max(1);
     let queue = Queue::new(threads * WAITING_FOR_EACH);
     let (found, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
@@ -38,10 +50,12 @@ pub fn detect_recordings(
         seen
     };
     std::thread::scope(|scope| {
+        // Should reading panic, the threads must not wait for more, as the scope waits for them.
+        let _closes = Closes(&queue);
         let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
         let begin = Instant::now();
         let mut waited = Duration::ZERO;
-        let contents = job.read(&mut |image| {
+        let contents = read(&mut |image| {
             watch.stages.count();
             found.fetch_add(1, Ordering::Relaxed);
             let before = Instant::now();
@@ -144,5 +158,28 @@ struct Closes<'a>(&'a Queue);
 impl Drop for Closes<'_> {
     fn drop(&mut self) {
         self.0.close();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use boresight_io::{DetectionCache, JobOverrides, load_recordings, parse_target};
+
+    use super::*;
+    use crate::images::Stages;
+
+    #[test]
+    fn a_reader_that_panics_does_not_leave_its_threads_waiting() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        std::fs::write(&path, b"").unwrap();
+        let target = Some(parse_target("chessboard:7x5:30mm").unwrap());
+        let overrides = JobOverrides { target, ..JobOverrides::default() };
+        let job = load_recordings(&[path], &overrides).unwrap().unwrap();
+        let (cache, stages) = (DetectionCache::default(), Stages::default());
+        let watch = DetectWatch { progress: &|_, _| {}, cache: &cache, stages: &stages };
+        let work = || detect_while_reading(&job, &watch, |_| panic!("the reader panics"));
+        let panicked = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
+        assert!(panicked.is_err());
     }
 }
