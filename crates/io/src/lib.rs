@@ -73,7 +73,7 @@ pub use observations_parquet::{
     OBSERVATIONS_SCHEMA, ObservationRow, attach_residuals, observations_to_parquet, read_observations,
 };
 pub use planar_motions::{PlanarMotionRow, read_planar_motions};
-pub use pose_table::{PoseTable, read_pose_table};
+pub use pose_table::{PoseTable, RotationColumns, read_pose_table};
 pub use recording::{
     CameraPair, Clock, Contents, DecodedImage, ImageTopic, Packing, RecordedImage, RecordedValue,
     RecordingJob, RecordingOptions, RecordingWriter, SeenRecorded, StatedCamera, Survey, Topic,

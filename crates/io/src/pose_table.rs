@@ -20,6 +20,51 @@ pub struct PoseTable {
     pub convention: Option<PoseConvention>,
 }
 
+/// The columns in which a table has rotations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RotationColumns {
+    /// A quaternion.
+    Quaternion,
+    /// A matrix, row by row.
+    Matrix,
+    /// A rotation vector, unless a convention makes angles of it.
+    Vector,
+    /// Angles that a convention explains, by their letters.
+    Angles(&'static [&'static str; 3]),
+}
+
+impl RotationColumns {
+    /// All, in the order in which they are looked for.
+    pub const ALL: [Self; 6] = [
+        Self::Quaternion,
+        Self::Matrix,
+        Self::Vector,
+        Self::Angles(&["a", "b", "c"]),
+        Self::Angles(&["w", "p", "r"]),
+        Self::Angles(&["roll", "pitch", "yaw"]),
+    ];
+
+    /// Returns the names of the columns; those of angles have their unit after them, as in `rx_rad` or `a_deg`.
+    pub fn names(self) -> &'static [&'static str] {
+        match self {
+            Self::Quaternion => &["qx", "qy", "qz", "qw"],
+            Self::Matrix => &["r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"],
+            Self::Vector => &["rx", "ry", "rz"],
+            Self::Angles(names) => names,
+        }
+    }
+
+    /// Returns what the numbers are, or `None` of letters for angles, which say nothing of their axes.
+    pub fn kind(self) -> Option<RotationKind> {
+        match self {
+            Self::Quaternion => Some(RotationKind::QuaternionXyzw),
+            Self::Matrix => Some(RotationKind::Matrix),
+            Self::Vector => Some(RotationKind::RotationVector),
+            Self::Angles(_) => None,
+        }
+    }
+}
+
 const NEED: &str =
     "a line has x, y, z and then 3, 4 or 9 numbers of an orientation, or is a 4x4 matrix row by row";
 
@@ -175,54 +220,25 @@ impl Header {
             (None, Some(position)) => (position, LengthUnit::Millimetres),
             (None, None) => return Err(missing("x_m")),
         };
-        let quaternion = all(["qx", "qy", "qz"]).zip(at("qw"));
-        let matrix: Option<Vec<usize>> =
-            ["r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"].map(at).into_iter().collect();
-        let vector = [("rad", AngleUnit::Radians), ("deg", AngleUnit::Degrees)].into_iter().find_map(
-            |(unit, angle)| {
-                let named = |letters: [&str; 3]| {
-                    let columns = letters.map(|letter| at(&format!("{letter}_{unit}")));
-                    columns.into_iter().collect::<Option<Vec<usize>>>()
-                };
-                let is_vector = named(["rx", "ry", "rz"]);
-                is_vector.map(|columns| (columns, angle, true)).or_else(|| {
-                    [["a", "b", "c"], ["w", "p", "r"], ["roll", "pitch", "yaw"]]
-                        .into_iter()
-                        .find_map(named)
-                        .map(|columns| (columns, angle, false))
-                })
-            },
-        );
-        let mut convention = PoseConvention { length, ..PoseConvention::plain(RotationKind::RotationVector) };
-        let rotation = if let Some((mut columns, scalar)) = quaternion {
-            convention.rotation = RotationKind::QuaternionXyzw;
-            columns.push(scalar);
-            columns
-        } else if let Some(columns) = matrix {
-            convention.rotation = RotationKind::Matrix;
-            columns
-        } else if let Some((columns, angle, is_vector)) = vector {
-            convention.angle = angle;
-            let header = Self {
-                n_columns: fields.len(),
-                frame: at("frame"),
-                time: at("time_s"),
-                position: [position[0], position[1], position[2]],
-                rotation: columns,
-                // Letters for angles say nothing of their axes.
-                convention: is_vector.then_some(convention),
-            };
-            return Ok(header);
-        } else {
-            return Err(missing("qx"));
+        // Angles are of one unit; other numbers have none.
+        let columns = |columns: RotationColumns, unit: &str| -> Option<Vec<usize>> {
+            columns.names().iter().map(|name| at(&format!("{name}{unit}"))).collect()
         };
+        let has_angles = |columns: RotationColumns| columns.kind().is_none_or(RotationKind::has_angles);
+        let units = [("_rad", AngleUnit::Radians), ("_deg", AngleUnit::Degrees)];
+        let found = RotationColumns::ALL.into_iter().find_map(|named| match has_angles(named) {
+            true => units.iter().find_map(|(unit, angle)| Some((named, columns(named, unit)?, *angle))),
+            false => Some((named, columns(named, "")?, AngleUnit::Radians)),
+        });
+        let (named, rotation, angle) = found.ok_or_else(|| missing("qx"))?;
+        let plain = |kind| PoseConvention { length, angle, ..PoseConvention::plain(kind) };
         Ok(Self {
             n_columns: fields.len(),
             frame: at("frame"),
             time: at("time_s"),
             position: [position[0], position[1], position[2]],
             rotation,
-            convention: Some(convention),
+            convention: named.kind().map(plain),
         })
     }
 

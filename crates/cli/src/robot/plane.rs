@@ -6,9 +6,9 @@ use std::process::ExitCode;
 
 use boresight::{
     Heights, KnownRig, PLANE_SCHEMA, PatternTouch, PlaneDocument, PlaneModel, PlaneOutcome, Pose,
-    PoseConvention, RobotTable, RotationKind, Severity, TipKnowledge, Touch, TouchDocument, TouchLens,
-    TouchOptions, TouchedPlane, TriedDocument, TriedModel, UnitQuaternion, Vector3, hash, pattern_procedure,
-    plane_to_json, read_robot_job, robot_plane, write_atomically,
+    PoseConvention, PoseDirection, RobotTable, RotationColumns, RotationKind, Severity, TipKnowledge, Touch,
+    TouchDocument, TouchLens, TouchOptions, TouchedPlane, TriedDocument, TriedModel, UnitQuaternion, Vector3,
+    hash, pattern_procedure, plane_to_json, read_robot_job, robot_plane, write_atomically,
 };
 use clap::Args;
 use serde::Deserialize;
@@ -23,8 +23,8 @@ use crate::table::{aligned, row};
 #[derive(Args, Debug)]
 pub(crate) struct PlaneArguments {
     /// A folder or job file with a `[plane]` table, or a table of touches: name,u_px,v_px,x_mm,y_mm,z_mm
-    /// (z may be left out; rx_deg,ry_deg,rz_deg, a rotation vector, or qx,qy,qz,qw, or angles such as
-    /// a_deg,b_deg,c_deg with --touches-as make it poses of the flange)
+    /// (z may be left out; rx_deg,ry_deg,rz_deg, a rotation vector, or qx,qy,qz,qw, or r11 to r33, or angles such
+    /// as a_deg,b_deg,c_deg or roll_deg,pitch_deg,yaw_deg with --touches-as make it poses of the flange)
     pub input: PathBuf,
     /// What angles of the flange mean, such as kuka-abc, fanuc-wpr or moving-zyx [default: the job's convention]
     #[arg(long, value_name = "CONVENTION")]
@@ -158,6 +158,13 @@ fn read_touches(
         Heights::Unknown => vec![Some(0.0); table.len()],
     };
     let turns = turns(table, convention)?;
+    let direction = convention.map_or(PoseDirection::BaseFromFlange, |convention| convention.direction);
+    if direction == PoseDirection::FlangeFromBase && heights == Heights::Unknown {
+        let message = "the touches are of the base as the flange sees it, and have no z";
+        return Err(
+            Failure::new(Reason::Usage, message).with_hint("add a column z_mm, or leave :inverse out")
+        );
+    }
     let mut touches = Vec::new();
     for (i, name) in table.names().into_iter().enumerate() {
         let value = |column: &[Option<f64>], name: &str| column[i].ok_or_else(|| table.missing(i, name));
@@ -167,7 +174,12 @@ fn read_touches(
         };
         let place = Vector3::new(value(&x, "x")?, value(&y, "y")?, value(&z, "z")?);
         let pixel = [value(&u, "u_px")?, value(&v, "v_px")?];
-        touches.push(Touch { name, pixel, base_from_flange: Pose::new(rotation, place) });
+        let written = Pose::new(rotation, place);
+        let base_from_flange = match direction {
+            PoseDirection::BaseFromFlange => written,
+            PoseDirection::FlangeFromBase => written.inverse(),
+        };
+        touches.push(Touch { name, pixel, base_from_flange });
     }
     Ok((touches, heights))
 }
@@ -176,7 +188,7 @@ fn read_touches(
 struct Turns {
     kind: RotationKind,
     names: &'static [&'static str],
-    /// Angles in radians, or the numbers of a quaternion.
+    /// Angles in radians, or the numbers of a quaternion or a matrix.
     columns: Vec<Vec<Option<f64>>>,
 }
 
@@ -195,28 +207,41 @@ impl Turns {
 
 /// Returns the columns of rotations, and what their numbers mean; `None` if there are none.
 fn turns(table: &RobotTable, convention: Option<PoseConvention>) -> Result<Option<Turns>, Failure> {
-    const QUATERNION: &[&str] = &["qx", "qy", "qz", "qw"];
-    const ANGLES: [&[&str]; 3] = [&["rx", "ry", "rz"], &["a", "b", "c"], &["w", "p", "r"]];
-    if table.has("qx") {
-        let columns = QUATERNION.iter().map(|name| table.numbers(name)).collect::<Result<_, _>>()?;
-        return Ok(Some(Turns { kind: RotationKind::QuaternionXyzw, names: QUATERNION, columns }));
-    }
-    let present = |names: &&[&str]| names.iter().any(|name| table.has(name));
-    let Some((i, names)) = ANGLES.into_iter().enumerate().find(|(_, names)| present(names)) else {
-        return Ok(None);
+    let present = |names: &[&str]| names.iter().any(|name| table.has(name));
+    let Some(named) = RotationColumns::ALL.into_iter().find(|columns| present(columns.names())) else {
+        return match convention {
+            None => Ok(None),
+            Some(convention) => {
+                let message = format!("the touches have no rotations that could be read as {convention}");
+                Err(Failure::new(Reason::Usage, message)
+                    .with_hint("add their columns, such as a_deg,b_deg,c_deg, or leave --touches-as out"))
+            }
+        };
     };
-    let kind = match convention.map(|convention| convention.rotation).filter(|kind| kind.has_angles()) {
-        Some(kind) => kind,
-        // Three numbers named as a rotation vector are one unless something else is said.
-        None if i == 0 => RotationKind::RotationVector,
-        None => {
+    let names = named.names();
+    let kind = match (convention.map(|convention| convention.rotation), named.kind()) {
+        // Names say which number of a quaternion or a matrix is which, in whatever order the maker writes them.
+        (said, Some(own)) if said.is_none_or(|said| said.number_count() == own.number_count()) => {
+            said.filter(|said| said.has_angles()).unwrap_or(own)
+        }
+        (Some(said), None) if said.has_angles() => said,
+        (Some(said), _) => {
+            let message = format!("the touches have {}, which cannot be read as {said}", names.join(", "));
+            return Err(Failure::new(Reason::Usage, message)
+                .with_hint("state the convention of these columns with --touches-as, or leave it out"));
+        }
+        (None, _) => {
             let message =
                 format!("the touches have angles {}, and nothing says what they mean", names.join(", "));
             return Err(Failure::new(Reason::Usage, message)
                 .with_hint("add convention = \"kuka-abc\" (or another) to [plane], or --touches-as"));
         }
     };
-    let columns = names.iter().map(|name| table.angles_rad(name)).collect::<Result<_, _>>()?;
+    let numbers = |name: &'static str| match kind.has_angles() {
+        true => table.angles_rad(name),
+        false => table.numbers(name),
+    };
+    let columns = names.iter().map(|name| numbers(name)).collect::<Result<_, _>>()?;
     Ok(Some(Turns { kind, names, columns }))
 }
 

@@ -21,6 +21,8 @@ fn flanges_of_touches_are_read_as_their_maker_writes_them() {
     // A tip 150 mm before the flange touches points of a plane that the image shows at 0.25 mm a pixel. The
     // flange looks down (c is half a turn) and turns about z by a: KUKA's R = Rz(a) Ry(b) Rx(c).
     let mut rows = String::from("u_px,v_px,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\n");
+    let mut rpy = String::from("u_px,v_px,x_mm,y_mm,z_mm,roll_deg,pitch_deg,yaw_deg\n");
+    let mut inverse = String::from("u_px,v_px,x_mm,y_mm,z_mm,r11,r12,r13,r21,r22,r23,r31,r32,r33\n");
     for i in 0..9 {
         let (u, v) = (400.0 + 300.0 * f64::from(i % 3), 300.0 + 250.0 * f64::from(i / 3));
         let (a, b) = (20.0 * f64::from(i) - 80.0, 12.0 * f64::from(i % 4) - 15.0);
@@ -30,20 +32,49 @@ fn flanges_of_touches_are_read_as_their_maker_writes_them() {
         let touched = [0.25 * u, -0.25 * v, 10.0];
         let flange = [0, 1, 2].map(|k| touched[k] - tip[k]);
         rows.push_str(&format!("{u},{v},{},{},{},{a},{b},180\n", flange[0], flange[1], flange[2]));
+        rpy.push_str(&format!("{u},{v},{},{},{},180,{b},{a}\n", flange[0], flange[1], flange[2]));
+        let columns = [
+            [cos_a * cos_b, sin_a * cos_b, -sin_b],
+            [sin_a, -cos_a, 0.0],
+            [-cos_a * sin_b, -sin_a * sin_b, -cos_b],
+        ];
+        let back = columns.map(|column| -(0..3).map(|k| column[k] * flange[k]).sum::<f64>());
+        let numbers: Vec<String> = back.iter().chain(columns.iter().flatten()).map(f64::to_string).collect();
+        inverse.push_str(&format!("{u},{v},{}\n", numbers.join(",")));
     }
-    fs::write(folder.path().join("touches.csv"), rows).unwrap();
-    let fit = |how: &[&str]| {
-        boresight(
-            folder.path(),
-            &[&["robot", "plane", "touches.csv", "--tip-mm", "0,0,150", "--json"], how].concat(),
-        )
+    for (name, text) in [("touches.csv", &rows), ("rpy.csv", &rpy), ("inverse.csv", &inverse)] {
+        fs::write(folder.path().join(name), text).unwrap();
+    }
+    let fit_file = |name: &str, how: &[&str]| {
+        let arguments = ["robot", "plane", name, "--tip-mm", "0,0,150", "--json"];
+        boresight(folder.path(), &[&arguments[..], how].concat())
     };
-    let plane = json(&fit(&["--touches-as", "kuka-abc"]).good());
-    let worst = plane["touches"].as_array().unwrap().iter().flat_map(|touch| numbers(&touch["residual_m"]));
-    let worst = worst.fold(0.0f64, |most, residual| most.max(residual.abs()));
-    assert!(worst < 1e-9, "{worst}");
-    let run = fit(&[]);
-    assert!(run.code == Some(2) && run.stderr.contains("--touches-as"), "{}", run.stderr);
+    let fit = |how: &[&str]| fit_file("touches.csv", how);
+    for (name, how) in
+        [("touches.csv", "kuka-abc"), ("rpy.csv", "urdf-rpy"), ("inverse.csv", "matrix:mm:inverse")]
+    {
+        let plane = json(&fit_file(name, &["--touches-as", how]).good());
+        let touches = plane["touches"].as_array().unwrap();
+        let residuals = touches.iter().flat_map(|touch| numbers(&touch["residual_m"]));
+        let worst = residuals.fold(0.0f64, |most, residual| most.max(residual.abs()));
+        assert!(worst < 1e-9, "{name}: {worst}");
+    }
+    for name in ["touches.csv", "rpy.csv"] {
+        let run = fit_file(name, &[]);
+        assert!(run.code == Some(2) && run.stderr.contains("--touches-as"), "{}", run.stderr);
+    }
+    // A convention that is not of these columns is not passed over.
+    let run = fit(&["--touches-as", "ros"]);
+    assert!(run.code == Some(2) && run.stderr.contains("a, b, c, which cannot be read as"), "{}", run.stderr);
+    let run = fit_file("inverse.csv", &["--touches-as", "kuka-abc"]);
+    assert!(
+        run.code == Some(2) && run.stderr.contains("which cannot be read as moving-zyx"),
+        "{}",
+        run.stderr
+    );
+    fs::write(folder.path().join("flat.csv"), "u_px,v_px,x_mm,y_mm\n1,2,3,4\n").unwrap();
+    let run = fit_file("flat.csv", &["--touches-as", "kuka-abc"]);
+    assert!(run.code == Some(2) && run.stderr.contains("no rotations"), "{}", run.stderr);
     // Read in another order, they meet no plane.
     let other = json(&fit(&["--touches-as", "moving-xyz"]).good());
     let off = other["touches"].as_array().unwrap().iter().map(|touch| numbers(&touch["residual_m"])[2].abs());
