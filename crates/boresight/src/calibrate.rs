@@ -1,11 +1,13 @@
 //! From a job to a judged calibration.
 
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use boresight_adjust::{AdjustOptions, Hold, Observer, adjust};
 use boresight_camera::{Camera, Model, ParamGroup};
-use boresight_data::{Calibration, CameraId, Dataset, Finding, Geometry, Provenance, RejectionReason, Shape};
+use boresight_data::{
+    Calibration, CameraId, Dataset, Finding, Geometry, Id as _, Provenance, RejectionReason, Shape,
+};
 use boresight_io::Job;
 use boresight_seed::{LeftOut, SeedOptions, seed};
 use boresight_validate::{Verdict, verdict};
@@ -20,14 +22,23 @@ use crate::options::CalibrateOptions;
 use crate::select::select_cameras;
 use crate::shape_choice::{ShapeSelection, choose_shape};
 use crate::shared_lens::{Group, apart, groups, sharers, spread, spread_stated};
+use crate::trial::Terms;
 
 /// Who follows a calibration while it runs, and may stop it.
 #[derive(Clone, Default)]
 pub struct Watch {
     /// Hears of each iteration.
     pub observer: Option<Observer>,
-    /// Stops the solve when it becomes true.
+    /// Stops the solve when it becomes true; a choice of lens or shape then ends as [`Error::Cancelled`].
     pub cancel: Option<Arc<AtomicBool>>,
+}
+
+impl Watch {
+    /// Returns an error if the work was stopped.
+    fn check(&self) -> Result<(), Error> {
+        let is_cancelled = self.cancel.as_ref().is_some_and(|cancel| cancel.load(Ordering::Relaxed));
+        if is_cancelled { Err(Error::Cancelled) } else { Ok(()) }
+    }
 }
 
 /// What a job came to.
@@ -74,9 +85,14 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
         known.extend(lenses.into_iter().filter(|(id, _)| !stated.iter().any(|(other, _)| other == id)));
         spread(&groups, &mut known);
     }
-    let (models, lenses) = with_threads(options.jobs, || lens_models(&dataset, &known, &groups, options))?;
-    let shape = (options.shape == ShapeChoice::Auto)
-        .then(|| with_threads(options.jobs, || choose_shape(&dataset, &models, options)));
+    let terms = Terms { options, cancel: watch.cancel.as_ref() };
+    let chosen = with_threads(options.jobs, || lens_models(&dataset, &known, &groups, terms));
+    watch.check()?;
+    let (models, lenses) = chosen?;
+    let may_bend = dataset.targets.iter().any(|target| target.shape != Shape::Rigid);
+    let shape = (options.shape == ShapeChoice::Auto && may_bend)
+        .then(|| with_threads(options.jobs, || choose_shape(&dataset, &models, &known, terms)));
+    watch.check()?;
     if shape.as_ref().is_some_and(|shape| !shape.helps) {
         dataset.targets.iter_mut().for_each(|target| target.shape = Shape::Rigid);
     }
@@ -120,8 +136,9 @@ fn lens_models(
     dataset: &Dataset,
     known: &[(CameraId, Camera)],
     groups: &[Group],
-    options: &CalibrateOptions,
+    terms: Terms<'_>,
 ) -> Result<(Vec<Model>, Vec<LensSelection>), Error> {
+    let options = terms.options;
     let names = || dataset.cameras.iter().map(|camera| camera.name.clone());
     if let Some(name) = options.model.by_camera.keys().find(|name| !names().any(|known| known == **name)) {
         return Err(Error::UnknownCamera { name: name.clone(), known: names().collect() });
@@ -144,12 +161,15 @@ fn lens_models(
             return Err(apart(dataset, [first, other], why));
         }
     }
-    let (mut models, mut lenses) = (Vec::new(), Vec::new());
+    let (mut models, mut lenses): (Vec<Model>, Vec<LensSelection>) = (Vec::new(), Vec::new());
     for (id, info) in dataset.cameras.enumerate() {
-        let model = match sharers(groups, id).into_iter().find_map(given) {
-            Some((_, model)) => model,
-            None => {
-                let selection = choose_lens(dataset, &info.name, options)?;
+        let sharers = sharers(groups, id);
+        let model = match (sharers.iter().copied().find_map(given), sharers.first()) {
+            (Some((_, model)), _) => model,
+            // It was chosen with the first that shares it.
+            (None, Some(first)) if *first < id => models[first.index()],
+            (None, _) => {
+                let selection = choose_lens(dataset, &sharers, terms)?;
                 let model = selection.model;
                 lenses.push(selection);
                 model

@@ -64,6 +64,26 @@ fn a_bowed_board_does_not_bend_the_lens_where_its_shape_is_estimated() {
 }
 
 #[test]
+fn trials_keep_to_what_is_held_and_known_and_end_when_they_are_stopped() {
+    let made = simulate(&Recipe { frames: 10, ..Recipe::mono() }, 21);
+    let lens = made.truth.rig.cameras[CameraId(0)].as_ref().unwrap().camera.clone();
+    let stated = Job { known_lenses: vec![("cam0".to_owned(), lens.clone())], ..job(made.dataset.clone()) };
+    let outcome = calibrate(&stated, &options("auto", "auto"), &Watch::default()).unwrap();
+    assert!(outcome.lenses.is_empty() && outcome.shape.is_some_and(|shape| shape.helps));
+    let cancel = Arc::new(AtomicBool::new(true));
+    let watch = Watch { cancel: Some(cancel), observer: None };
+    let stopped = calibrate(&job(made.dataset.clone()), &options("auto", "2"), &watch).unwrap_err();
+    assert!(matches!(stopped, Error::Cancelled), "{stopped}");
+    // Points that bend in no known way have no shape to be tried.
+    let mut points = job(made.dataset);
+    for target in points.dataset.targets.iter_mut() {
+        let at = |i: usize| target.drawn_point(boresight_data::PointId::from_index(i)).into();
+        target.geometry = Geometry::Points { points_m: (0..target.point_count()).map(at).collect() };
+    }
+    assert!(calibrate(&points, &options("opencv5", "auto"), &Watch::default()).unwrap().shape.is_none());
+}
+
+#[test]
 fn a_flat_board_needs_no_shape() {
     let made = wide(vec![0.0, 0.0]);
     let options = options("kannala-brandt4", "auto");
@@ -259,6 +279,11 @@ fn what_is_told_of_one_camera_is_told_of_all_that_share_its_lens() {
     let stated = Job { known_lenses: vec![("cam1".to_owned(), truth.clone())], ..job(made.dataset.clone()) };
     let known = calibrate(&stated, &share, &Watch::default()).unwrap();
     assert_eq!((lens(&known, 0), lens(&known, 1)), (truth.clone(), truth));
+    // Whatever is chosen for them is chosen once, of both cameras' views.
+    let options = CalibrateOptions { model: "auto".parse().unwrap(), ..share.clone() };
+    let chosen = calibrate(&job(made.dataset.clone()), &options, &Watch::default()).unwrap();
+    assert_eq!((chosen.lenses.len(), chosen.lenses[0].camera.as_str()), (1, "cam0+cam1"));
+    assert_eq!(lens(&chosen, 0), lens(&chosen, 1));
     // Models that differ are refused before anything is fitted.
     let options = CalibrateOptions { model: "opencv5,cam1=eucm".parse().unwrap(), ..share };
     let refused = calibrate(&job(made.dataset), &options, &Watch::default()).unwrap_err();

@@ -74,6 +74,9 @@ pub enum Error {
         /// Why not.
         why: String,
     },
+    /// The caller stopped it.
+    #[error("the work was stopped")]
+    Cancelled,
     /// The target's pose could be found in no frame.
     #[error("the target's pose could be found in none of the {views} views")]
     NothingPlaced {
@@ -171,9 +174,11 @@ impl Error {
             | Error::Noncentral { .. }
             | Error::NoRobotPoses => ErrorKind::Usage,
             Error::UnreadablePoses { .. } | Error::Unpaired { .. } => ErrorKind::Input,
-            Error::Degenerate(_) | Error::NoClosedForm { .. } | Error::PoseFit(_) | Error::Joints(_) => {
-                ErrorKind::Solve
-            }
+            Error::Degenerate(_)
+            | Error::NoClosedForm { .. }
+            | Error::PoseFit(_)
+            | Error::Joints(_)
+            | Error::Cancelled => ErrorKind::Solve,
             Error::Compare(
                 boresight_validate::Error::NotPositive { .. } | boresight_validate::Error::Columns { .. },
             ) => ErrorKind::Usage,

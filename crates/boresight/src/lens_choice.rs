@@ -3,13 +3,12 @@
 use std::collections::BTreeSet;
 
 use boresight_camera::Model;
-use boresight_data::{Dataset, PointId};
+use boresight_data::{CameraId, Dataset, PointId};
 use rayon::prelude::*;
 
 use crate::calibrate::is_noncentral;
-use crate::options::CalibrateOptions;
-use crate::select::select_cameras;
-use crate::trial::{Fit, Trial, ViewErrors, excess, without};
+use crate::select::as_one_camera;
+use crate::trial::{Fit, Terms, Trial, ViewErrors, excess, without};
 
 /// A model that leaves out a larger share of the views than another is not compared with it.
 const LEFT_OUT_SHARE: f64 = 0.1;
@@ -35,7 +34,7 @@ pub struct ModelTrial {
 /// The model chosen for a camera, and why.
 #[derive(Clone, Debug)]
 pub struct LensSelection {
-    /// The camera's name.
+    /// The camera's name; those of cameras that share a lens as in `left+right`.
     pub camera: String,
     /// The model chosen.
     pub model: Model,
@@ -55,24 +54,24 @@ pub struct NoLens {
     pub problems: Vec<String>,
 }
 
-/// Chooses a lens model for a camera of `dataset` by its own views.
+/// Chooses a lens model for a camera of `dataset` by its own views, or for cameras that share a lens by theirs.
 pub(crate) fn choose_lens(
     dataset: &Dataset,
-    camera: &str,
-    options: &CalibrateOptions,
+    cameras: &[CameraId],
+    terms: Terms<'_>,
 ) -> Result<LensSelection, NoLens> {
-    let alone = select_cameras(dataset, &[camera.to_owned()]).expect("the camera is one of the dataset's");
-    select(camera, trials(&alone, options))
+    let names: Vec<&str> = cameras.iter().map(|camera| dataset.cameras[*camera].name.as_str()).collect();
+    select(&names.join("+"), trials(&as_one_camera(dataset, cameras), &names, terms))
 }
 
 /// Tries every model of the registry that has few enough parameters to be compared.
-fn trials(dataset: &Dataset, options: &CalibrateOptions) -> Vec<ModelTrial> {
+fn trials(dataset: &Dataset, cameras: &[&str], terms: Terms<'_>) -> Vec<ModelTrial> {
     let models = Model::names().into_iter().filter(|name| !NOT_TRIED.contains(name));
     let models = models.filter_map(|name| name.parse::<Model>().ok());
     let models: Vec<Model> =
         models.filter(|model| model.local_support().is_none() && !is_noncentral(*model)).collect();
     let fits: Vec<Result<Fit, String>> =
-        models.par_iter().map(|model| Fit::new(dataset, *model, options)).collect();
+        models.par_iter().map(|model| Fit::new(dataset, cameras, *model, None, terms)).collect();
     // What every model rejects is wrong; what some reject may be what they cannot explain.
     let mut outliers: Option<BTreeSet<(usize, PointId)>> = None;
     for fit in fits.iter().flatten() {
@@ -80,7 +79,7 @@ fn trials(dataset: &Dataset, options: &CalibrateOptions) -> Vec<ModelTrial> {
     }
     let clean = without(dataset, &outliers.unwrap_or_default());
     let trial = |(model, fit): (&Model, &Result<Fit, String>)| {
-        let trial = fit.as_ref().map_err(Clone::clone).and_then(|fit| Trial::new(&clean, fit, options));
+        let trial = fit.as_ref().map_err(Clone::clone).and_then(|fit| Trial::new(&clean, fit));
         match trial {
             Ok(Trial { held_out_px, bias_px, views }) => {
                 let problem = fit.as_ref().ok().and_then(|fit| fit.problem.clone());
@@ -172,6 +171,7 @@ mod tests {
     use boresight_synthetic::{Recipe, simulate};
 
     use super::*;
+    use crate::CalibrateOptions;
 
     fn trial(model: &str, squares: &[f64]) -> ModelTrial {
         ModelTrial {
@@ -208,9 +208,10 @@ mod tests {
         for shape in [Shape::Rigid, Shape::Parabolic2] {
             let mut dataset = job.dataset.clone();
             dataset.targets.iter_mut().for_each(|target| target.shape = shape);
-            for camera in &dataset.cameras {
-                let selection = choose_lens(&dataset, &camera.name, &CalibrateOptions::default()).unwrap();
-                println!("{}: {}", camera.name, selection.why);
+            for camera in dataset.cameras.ids() {
+                let terms = Terms { options: &CalibrateOptions::default(), cancel: None };
+                let selection = choose_lens(&dataset, &[camera], terms).unwrap();
+                println!("{}: {}", selection.camera, selection.why);
                 for trial in &selection.trials {
                     println!("  {} {:.4} px, bias {:.4} px", trial.model, trial.held_out_px, trial.bias_px);
                 }
@@ -258,7 +259,8 @@ mod tests {
             recipe.placement.image_share = 0.85;
             recipe.cameras[0].camera = camera.clone();
             let made = simulate(&recipe, 40 + i as u64);
-            let selection = choose_lens(&made.dataset, "cam0", &CalibrateOptions::default()).unwrap();
+            let terms = Terms { options: &CalibrateOptions::default(), cancel: None };
+            let selection = choose_lens(&made.dataset, &[CameraId(0)], terms).unwrap();
             let of = |model: Model| selection.trials.iter().find(|trial| trial.model == model).unwrap();
             let (chosen, own) = (of(selection.model), of(camera.model));
             println!(

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use boresight_data::{CameraId, Dataset, Frame, FrameId, IdVec, View};
+use boresight_data::{CameraId, CameraInfo, Dataset, Frame, FrameId, IdVec, View};
 
 use crate::error::Error;
 
@@ -35,9 +35,27 @@ pub(crate) fn select_cameras(dataset: &Dataset, names: &[String]) -> Result<Data
     Ok(Dataset { cameras, targets: dataset.targets.clone(), frames, views })
 }
 
+/// Returns what cameras that share one lens saw as what one camera saw: each view in a frame of its own.
+pub(crate) fn as_one_camera(dataset: &Dataset, cameras: &[CameraId]) -> Dataset {
+    let views = dataset.views.iter().filter(|view| cameras.contains(&view.camera));
+    let names: Vec<&str> = cameras.iter().map(|camera| dataset.cameras[*camera].name.as_str()).collect();
+    let (mut one, mut new_frame) = (Dataset::default(), BTreeMap::new());
+    for view in views {
+        let frame = *new_frame.entry((view.camera, view.frame)).or_insert_with(|| {
+            // The robot's pose is of the first camera at most, and nothing here needs it.
+            one.frames.push(Frame { base_from_flange: None, ..dataset.frames[view.frame].clone() })
+        });
+        one.views.push(View { camera: CameraId(0), frame, ..view.clone() });
+    }
+    let first = cameras.first().map(|camera| dataset.cameras[*camera].clone());
+    one.cameras = first.map(|first| CameraInfo { name: names.join("+"), ..first }).into_iter().collect();
+    one.targets = dataset.targets.clone();
+    one
+}
+
 #[cfg(test)]
 mod tests {
-    use boresight_data::{CameraInfo, TargetId};
+    use boresight_data::TargetId;
 
     use super::*;
 
@@ -69,6 +87,16 @@ mod tests {
         let views: Vec<_> = part.views.iter().map(|view| (view.frame.0, view.camera.0)).collect();
         assert_eq!(views, [(0, 1), (1, 0), (1, 1)]);
         assert_eq!(select_cameras(&dataset(), &[]).unwrap(), dataset());
+    }
+
+    #[test]
+    fn cameras_of_one_lens_become_one_with_a_frame_for_each_view() {
+        let one = as_one_camera(&dataset(), &[CameraId(1), CameraId(2)]);
+        assert_eq!(one.cameras.as_slice()[0].name, "b+c");
+        let views: Vec<_> = one.views.iter().map(|view| (view.frame.0, view.camera.0)).collect();
+        assert_eq!(views, [(0, 0), (1, 0), (2, 0)]);
+        let frames: Vec<&str> = one.frames.iter().map(|frame| frame.name.as_str()).collect();
+        assert_eq!(frames, ["1", "2", "2"]);
     }
 
     #[test]

@@ -1,12 +1,11 @@
 //! Whether the targets' shapes help: decided on views that took no part.
 
-use boresight_camera::Model;
-use boresight_data::{Dataset, Shape};
+use boresight_camera::{Camera, Model};
+use boresight_data::{CameraId, Dataset, Shape};
 use rayon::prelude::*;
 
-use crate::options::CalibrateOptions;
-use crate::select::select_cameras;
-use crate::trial::{Fit, Trial, ViewErrors, excess, rms_px, without};
+use crate::select::as_one_camera;
+use crate::trial::{Fit, Terms, Trial, ViewErrors, excess, rms_px, without};
 
 /// Whether the shape of the targets helps, and why.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,31 +20,34 @@ pub struct ShapeSelection {
     pub why: String,
 }
 
-/// Tells whether the shapes of the targets of `dataset` help; `models` are the lens models of its cameras.
+/// Tells whether the shapes of the targets of `dataset` help; `models` are the lens models of its cameras, and `known`
+/// the lenses that are known.
 ///
 /// Cameras are judged one by one, as what a board's bow does to a view does not depend on the others.
 pub(crate) fn choose_shape(
     dataset: &Dataset,
     models: &[Model],
-    options: &CalibrateOptions,
+    known: &[(CameraId, Camera)],
+    terms: Terms<'_>,
 ) -> ShapeSelection {
     let mut flat = dataset.clone();
     flat.targets.iter_mut().for_each(|target| target.shape = Shape::Rigid);
-    let cameras: Vec<(&str, Model)> =
-        dataset.cameras.iter().map(|camera| camera.name.as_str()).zip(models.iter().copied()).collect();
+    let cameras: Vec<(CameraId, Model)> = dataset.cameras.ids().zip(models.iter().copied()).collect();
     let tried: Vec<Option<[ViewErrors; 2]>> = cameras
         .par_iter()
         .map(|&(camera, model)| {
+            let lens = known.iter().find(|(id, _)| *id == camera).map(|(_, lens)| lens);
+            let name = dataset.cameras[camera].name.as_str();
             let fits = [dataset, &flat].map(|dataset| {
-                let alone = select_cameras(dataset, &[camera.to_owned()]).ok()?;
-                let fit = Fit::new(&alone, model, options).ok()?;
+                let alone = as_one_camera(dataset, &[camera]);
+                let fit = Fit::new(&alone, &[name], model, lens, terms).ok()?;
                 Some((alone, fit))
             });
             let [Some((bent, with)), Some((flat, without_shape))] = fits else { return None };
             // What both reject is wrong; what one rejects may be what it cannot explain.
             let outliers = &with.outliers & &without_shape.outliers;
             let views = |alone: &Dataset, fit: &Fit| {
-                Trial::new(&without(alone, &outliers), fit, options).ok().map(|trial| trial.views)
+                Trial::new(&without(alone, &outliers), fit).ok().map(|trial| trial.views)
             };
             Some([views(&bent, &with)?, views(&flat, &without_shape)?])
         })

@@ -5,12 +5,15 @@
 //! alone is fitted to it.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
-use boresight_adjust::{AdjustOptions, Rejection, adjust, optimize};
-use boresight_camera::Model;
+use boresight_adjust::{AdjustOptions, Hold, Rejection, adjust, optimize};
+use boresight_camera::{Camera, Model};
 use boresight_data::{CameraId, Dataset, FrameId, PointId, RejectionReason, Scene, Severity};
 use boresight_seed::{SeedOptions, seed};
 
+use crate::beliefs::{Beliefs, HoldChoice};
 use crate::held_out::{Seen, place_frames, with_views};
 use crate::options::CalibrateOptions;
 
@@ -23,9 +26,35 @@ const CELLS: [usize; 2] = [8, 6];
 /// The sum of squares in px² and the number of corners of each view; `None` of one that was left out.
 pub(crate) type ViewErrors = Vec<Option<(f64, usize)>>;
 
+/// What trials go by.
+#[derive(Clone, Copy)]
+pub(crate) struct Terms<'a> {
+    pub options: &'a CalibrateOptions,
+    /// Stops every solve when it becomes true.
+    pub cancel: Option<&'a Arc<AtomicBool>>,
+}
+
+impl Terms<'_> {
+    /// Returns the options with what they hold of the lenses of some cameras, as far as `model` has it.
+    fn of_cameras(&self, cameras: &[&str], model: Model, is_known: bool) -> CalibrateOptions {
+        let is_of =
+            |hold: &&HoldChoice| hold.camera.as_deref().is_none_or(|camera| cameras.contains(&camera));
+        let is_here = |hold: &&HoldChoice| match hold.what.as_str() {
+            "shape" => true,
+            "lens" => is_known,
+            name => model.param_names().contains(&name),
+        };
+        let hold = self.options.hold.iter().filter(is_of).filter(is_here);
+        let hold = hold.map(|hold| HoldChoice { camera: None, ..hold.clone() }).collect();
+        CalibrateOptions { hold, ..self.options.clone() }
+    }
+}
+
 /// A model fitted to all views of a camera.
 pub(crate) struct Fit {
     scene: Scene,
+    /// How it was fitted.
+    adjust: AdjustOptions,
     /// The corners that are outliers to it.
     pub outliers: BTreeSet<(usize, PointId)>,
     /// Why the model is out of the question, where it is.
@@ -33,11 +62,29 @@ pub(crate) struct Fit {
 }
 
 impl Fit {
-    /// Fits `model` to the only camera of `dataset`, and says why if that cannot be done.
-    pub(crate) fn new(dataset: &Dataset, model: Model, options: &CalibrateOptions) -> Result<Self, String> {
-        let seed_options = SeedOptions { models: vec![model], ..SeedOptions::default() };
-        let seed = seed(dataset, &seed_options).map_err(|error| error.to_string())?;
-        let adjust_options = AdjustOptions { threads: 1, ..options.adjust_options(dataset) };
+    /// Fits `model` to the only camera of `dataset`, which is one of `cameras` or all of them, and says why if that
+    /// cannot be done. A lens that is known is held.
+    pub(crate) fn new(
+        dataset: &Dataset,
+        cameras: &[&str],
+        model: Model,
+        known: Option<&Camera>,
+        terms: Terms<'_>,
+    ) -> Result<Self, String> {
+        let known: Vec<(CameraId, Camera)> =
+            known.map(|lens| (CameraId(0), lens.clone())).into_iter().collect();
+        let options = &terms.of_cameras(cameras, model, !known.is_empty());
+        let seed_options =
+            SeedOptions { models: vec![model], known: known.clone(), ..SeedOptions::default() };
+        let mut seed = seed(dataset, &seed_options).map_err(|error| error.to_string())?;
+        let mut adjust_options = AdjustOptions {
+            holds: known.iter().map(|(camera, _)| Hold::Lens(*camera)).collect(),
+            cancel: terms.cancel.cloned(),
+            threads: 1,
+            ..options.adjust_options(dataset)
+        };
+        let beliefs = Beliefs { options, earlier: None, stated: &known, groups: &[] };
+        beliefs.apply(dataset, &mut seed.scene, &mut adjust_options).map_err(|error| error.to_string())?;
         let calibration =
             adjust(dataset, &seed.scene, &adjust_options, None).map_err(|error| error.to_string())?;
         let mut problem = (!calibration.solve.converged).then(|| "it does not converge".to_owned());
@@ -55,7 +102,7 @@ impl Fit {
                 scene.rig_from_target[dataset.views[rejection.view_idx].frame] = None;
             }
         }
-        Ok(Self { scene, outliers, problem })
+        Ok(Self { scene, adjust: adjust_options, outliers, problem })
     }
 }
 
@@ -72,8 +119,8 @@ pub(crate) struct Trial {
 
 impl Trial {
     /// Judges a fit to `dataset`, which holds no outliers any more, or says why it cannot be judged.
-    pub(crate) fn new(dataset: &Dataset, fit: &Fit, options: &CalibrateOptions) -> Result<Self, String> {
-        let residuals = residuals(dataset, fit, options)?;
+    pub(crate) fn new(dataset: &Dataset, fit: &Fit) -> Result<Self, String> {
+        let residuals = residuals(dataset, fit)?;
         let of_view = |view: &Option<Vec<Residual>>| {
             let view = view.as_ref()?;
             Some((view.iter().map(|(_, r)| r[0] * r[0] + r[1] * r[1]).sum(), view.len()))
@@ -115,12 +162,8 @@ type Residual = ([f64; 2], [f64; 2]);
 
 /// Returns the residuals of every view under a lens and shape that were fitted without its frame; `None` of
 /// a view that was left out.
-fn residuals(
-    dataset: &Dataset,
-    fit: &Fit,
-    options: &CalibrateOptions,
-) -> Result<Vec<Option<Vec<Residual>>>, String> {
-    let base = AdjustOptions { rejection: Rejection::None, threads: 1, ..options.adjust_options(dataset) };
+fn residuals(dataset: &Dataset, fit: &Fit) -> Result<Vec<Option<Vec<Residual>>>, String> {
+    let base = AdjustOptions { rejection: Rejection::None, ..fit.adjust.clone() };
     let frames: BTreeSet<FrameId> = dataset.views.iter().map(|view| view.frame).collect();
     let mut residuals = vec![None; dataset.views.len()];
     for fold in 0..FOLDS {

@@ -30,10 +30,11 @@ pub(crate) fn run(arguments: &CalibrateArguments) -> Result<ExitCode, Failure> {
     let watch = Watch { observer: Some(observer), cancel: Some(cancel.clone()) };
     let outcome = boresight::calibrate(&job, &options, &watch);
     bar.finish_and_clear();
-    let outcome = outcome?;
     if cancel.load(Ordering::Relaxed) {
-        return Err(Failure::new(Reason::Cancelled, "stopped by Ctrl-C; nothing was written"));
+        // What was detected in images is remembered.
+        return Err(Failure::new(Reason::Cancelled, "stopped by Ctrl-C; no result was written"));
     }
+    let outcome = outcome?;
     let files = result_files(&outcome)?;
     write_files(&arguments.output, &files)?;
 
