@@ -58,13 +58,18 @@ pub struct CalibrateOptions {
 impl CalibrateOptions {
     /// Returns the options that a job file states, and the defaults of all others.
     pub fn of_job(job: &Job) -> Result<Self, Error> {
-        let stated: Result<Self, _> = job.options.clone().try_into();
+        Self::of_table(&job.options, job.options_place.as_ref())
+    }
+
+    /// Returns the options that a table `[options]` states, which begins at `place`, and the defaults of all others.
+    pub fn of_table(table: &toml::Table, place: Option<&Place>) -> Result<Self, Error> {
+        let stated: Result<Self, _> = table.clone().try_into();
         let mut options = stated.map_err(|error| Error::Options {
-            place: job.options_place.clone().unwrap_or_else(|| Place::file("boresight.toml")),
+            place: place.cloned().unwrap_or_else(|| Place::file("boresight.toml")),
             message: error.message().lines().next().unwrap_or_default().to_owned(),
         })?;
         // What a job file names is beside it.
-        let folder = job.options_place.as_ref().and_then(|place| Path::new(&place.file).parent());
+        let folder = place.and_then(|place| Path::new(&place.file).parent());
         if let (Some(prior), Some(folder)) = (&mut options.prior, folder) {
             *prior = folder.join(&*prior);
         }

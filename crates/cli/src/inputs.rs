@@ -5,9 +5,9 @@ use std::str::FromStr;
 use std::time::Instant;
 
 use boresight::{
-    Clock, DetectWatch, DetectionCache, ImageJob, IoError, Job, JobOverrides, RecordingJob, RecordingOptions,
-    RobotOverrides, SeenImage, Stages, Target, detect_images, detect_recordings, detection_cache, is_pattern,
-    load_images, load_job, load_recordings,
+    CalibrateOptions, Clock, DetectWatch, DetectionCache, ImageJob, IoError, Job, JobOverrides, RecordingJob,
+    RecordingOptions, RobotOverrides, SeenImage, Stages, Target, detect_images, detect_recordings,
+    detection_cache, is_pattern, load_images, load_job, load_recordings,
 };
 
 use crate::arguments::InputArguments;
@@ -232,11 +232,16 @@ fn load_with(
 ) -> Result<Job, Failure> {
     let inputs = paths(arguments)?;
     let mut overrides = JobOverrides { robot, ..overrides(arguments) };
+    // A mistake in the options is told before the time of a detection is spent.
     if let Some(recordings) = load_recordings(&inputs, &overrides)? {
+        let (table, place) = recordings.options();
+        CalibrateOptions::of_table(table, place)?;
         let (contents, seen) = detect_in_recordings(&recordings, cache)?;
         return Ok(recordings.with_detections(contents, seen)?);
     }
     if let Some(images) = load_images(&inputs, &overrides)? {
+        let (table, place) = images.options();
+        CalibrateOptions::of_table(table, place)?;
         let seen = detect_in_images(&images, cache)?;
         return Ok(images.with_detections(seen)?);
     }

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 
 use boresight_data::{Finding, Observation, Severity, Target};
 
-use crate::Error;
 use crate::assemble::{CameraSpec, assemble, natural_order};
 use crate::image_files::{ImageFile, find_images};
 use crate::image_names::{Listed, assign};
@@ -13,6 +12,7 @@ use crate::image_pixels::{ReadImage, image_from_bytes};
 use crate::job::{Head, Job, JobOverrides, config, hash, head, named_inputs, read, robot_of};
 use crate::robot_input::RobotOverrides;
 use crate::seen::{SeenFile, SeenView, describe};
+use crate::{Error, Place};
 
 /// A job whose target is to be detected in images.
 pub struct ImageJob {
@@ -76,6 +76,11 @@ impl ImageJob {
     /// Returns the target that is to be detected.
     pub fn target(&self) -> &Target {
         &self.head.target
+    }
+
+    /// Returns the job file's `[options]`, and where they begin.
+    pub fn options(&self) -> (&toml::Table, Option<&Place>) {
+        (&self.head.job.options, self.head.options_place.as_ref())
     }
 
     /// Returns the job, with what was seen in each image in the order of [`images`](Self::images).

@@ -104,6 +104,17 @@ fn a_board_of_another_size_is_named() {
 }
 
 #[test]
+fn mistakes_in_the_options_are_told_before_anything_is_detected() {
+    let folder = rendered();
+    let job = "[target]\nkind = \"chessboard:7x5:30mm\"\n[input]\nimages = [\"cam\"]\n[options]\nmodle = \"pinhole\"\n";
+    std::fs::write(folder.path().join("boresight.toml"), job).unwrap();
+    let run = boresight(folder.path(), &["calibrate", "boresight.toml"]);
+    assert_eq!(run.code, Some(2), "{}", run.stderr);
+    assert!(run.stderr.contains("unknown field `modle`"), "{}", run.stderr);
+    assert!(!run.stderr.contains("images in") && !folder.path().join("out").exists(), "{}", run.stderr);
+}
+
+#[test]
 fn overlays_show_every_image() {
     let folder = rendered();
     let arguments = ["detect", "cam", "--target", "chessboard:7x5:30mm", "--overlays", "overlays"];

@@ -10,12 +10,12 @@ use super::names::assign_topics;
 use super::survey::{contents_findings, time_findings};
 use super::synchronise::{Shot, frames_of, usual_tolerance_ns};
 use super::{Contents, EXTENSION, RecordedImage, read_recordings};
-use crate::Error;
 use crate::image_job::{Findings, SeenImage, finish};
 use crate::image_names::Listed;
 use crate::job::{Head, Job, JobOverrides, config, head, named_inputs};
 use crate::robot_input::RobotOverrides;
 use crate::seen::SeenView;
+use crate::{Error, Place};
 
 /// Which of the times of a message says when its image was taken.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -88,6 +88,11 @@ impl RecordingJob {
     /// Returns the target that is to be detected.
     pub fn target(&self) -> &Target {
         &self.head.target
+    }
+
+    /// Returns the job file's `[options]`, and where they begin.
+    pub fn options(&self) -> (&toml::Table, Option<&Place>) {
+        (&self.head.job.options, self.head.options_place.as_ref())
     }
 
     /// Reads the recordings, and hands out their images in the order of the files. Reading ends early if `deliver` says so.
