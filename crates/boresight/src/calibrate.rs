@@ -199,7 +199,7 @@ fn known_lenses(job: &Job, dataset: &Dataset) -> Vec<(CameraId, Camera)> {
 }
 
 /// Does parallel work on so many threads; 0 is one for each core.
-fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+pub fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
     match rayon::ThreadPoolBuilder::new().num_threads(threads).build() {
         Ok(pool) => pool.install(work),
         // Where no threads can be had, the caller's own will do; the result is the same.

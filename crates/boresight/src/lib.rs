@@ -75,7 +75,7 @@ pub use boresight_validate::{
 
 pub use beliefs::HoldChoice;
 pub use boresight_seed::{Converted, ImpliedRotation, triangle_from_sides};
-pub use calibrate::{Outcome, Watch, calibrate};
+pub use calibrate::{Outcome, Watch, calibrate, with_threads};
 pub use choices::{
     BadChoice, HoldoutChoice, LensChoice, LensModel, LossChoice, RegularizationChoice, RejectChoice,
     ShapeChoice,

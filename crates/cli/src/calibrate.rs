@@ -23,7 +23,8 @@ const DETECTIONS_FILE: &str = "detections.json";
 /// Calibrates, writes, and prints the summary or the calibration.
 pub(crate) fn run(arguments: &CalibrateArguments) -> Result<ExitCode, Failure> {
     let begin = Instant::now();
-    let job = inputs::load_remembering(&arguments.input, &arguments.output.join(DETECTIONS_FILE))?;
+    let detections = arguments.output.join(DETECTIONS_FILE);
+    let job = inputs::load_remembering(&arguments.input, &detections, arguments.jobs)?;
     let options = layered(&job, arguments)?;
     let cancel = cancelled_by_ctrl_c()?;
     let (bar, observer) = progress::start();

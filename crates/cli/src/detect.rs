@@ -13,7 +13,7 @@ use boresight::{
 use crate::arguments::DetectArguments;
 use crate::calibrate::tell_findings;
 use crate::failure::{Failure, Reason};
-use crate::inputs;
+use crate::inputs::{self, InputKind};
 use crate::streams::{answer, note};
 use crate::table::{aligned, row};
 
@@ -22,12 +22,14 @@ pub(crate) fn run(arguments: &DetectArguments) -> Result<ExitCode, Failure> {
     let overrides = inputs::overrides(&arguments.input);
     let paths: Vec<PathBuf> = inputs::paths(&arguments.input)?;
     if let Some(recordings) = load_recordings(&paths, &overrides)? {
+        inputs::refuse_idle_flags(&arguments.input, InputKind::Recordings)?;
         return in_recordings(arguments, recordings);
     }
     let Some(images) = load_images(&paths, &overrides)? else {
         return Err(Failure::new(Reason::Usage, "there are no images among the inputs")
             .with_hint("name images, folders of images, patterns such as 'left*.jpg', or MCAP recordings"));
     };
+    inputs::refuse_idle_flags(&arguments.input, InputKind::Images)?;
     let seen = inputs::detect_in_images(&images, None)?;
 
     let mut rows = vec![row(["image", "size", "points", "sigma px", "why not"])];

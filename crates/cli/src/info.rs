@@ -12,17 +12,22 @@ use crate::arguments::InfoArguments;
 use crate::calibrate::tell_findings;
 use crate::failure::Failure;
 use crate::figures::significant;
+use crate::inputs::{self, InputKind};
 use crate::streams::answer;
+use crate::summary;
 use crate::table::{aligned, row};
-use crate::{inputs, summary};
 
 /// Prints what is in a dataset or a calibration.
 pub(crate) fn run(arguments: &InfoArguments) -> Result<ExitCode, Failure> {
     let text = match &arguments.input.inputs[..] {
-        [path] if is_calibration(path) => of_calibration(path)?,
-        [path] if is_cameras(path) => of_cameras(&read_cameras(path)?),
+        [path] if is_calibration(path) || is_cameras(path) => {
+            inputs::refuse_idle_flags(&arguments.input, InputKind::Calibrations)?;
+            if is_calibration(path) { of_calibration(path)? } else { of_cameras(&read_cameras(path)?) }
+        }
         recordings if is_survey(arguments) => {
-            let survey = survey_recordings(recordings, &inputs::recording_options(&arguments.input))?;
+            inputs::refuse_idle_flags(&arguments.input, InputKind::Recordings)?;
+            let overrides = inputs::overrides(&arguments.input);
+            let survey = survey_recordings(recordings, &overrides.recording, &overrides.cameras)?;
             tell_findings(&survey.findings);
             of_recordings(&survey)
         }

@@ -7,7 +7,7 @@ use std::time::Instant;
 use boresight::{
     CalibrateOptions, Clock, DetectWatch, DetectionCache, ImageJob, IoError, Job, JobOverrides, RecordingJob,
     RecordingOptions, RobotOverrides, SeenImage, Stages, Target, detect_images, detect_recordings,
-    detection_cache, is_pattern, load_images, load_job, load_recordings,
+    detection_cache, is_pattern, load_images, load_job, load_recordings, with_threads,
 };
 
 use crate::arguments::InputArguments;
@@ -135,7 +135,7 @@ pub(crate) fn overrides(arguments: &InputArguments) -> JobOverrides {
 }
 
 /// Returns what the arguments say of how recordings are read.
-pub(crate) fn recording_options(arguments: &InputArguments) -> RecordingOptions {
+fn recording_options(arguments: &InputArguments) -> RecordingOptions {
     RecordingOptions {
         clock: arguments.clock.map(|choice| match choice {
             ClockChoice::Header => Clock::Header,
@@ -147,17 +147,63 @@ pub(crate) fn recording_options(arguments: &InputArguments) -> RecordingOptions 
 
 /// Loads the job that the arguments name, with the corners of images detected.
 pub(crate) fn load(arguments: &InputArguments) -> Result<Job, Failure> {
-    load_with(arguments, RobotOverrides::default(), None)
+    load_with(arguments, RobotOverrides::default(), None, None)
 }
 
 /// Loads the job that the arguments name, with what the command line says of its robot.
 pub(crate) fn load_with_robot(arguments: &InputArguments, robot: RobotOverrides) -> Result<Job, Failure> {
-    load_with(arguments, robot, None)
+    load_with(arguments, robot, None, None)
 }
 
-/// Loads the job that the arguments name; what is detected is remembered in a file.
-pub(crate) fn load_remembering(arguments: &InputArguments, cache: &Path) -> Result<Job, Failure> {
-    load_with(arguments, RobotOverrides::default(), Some(cache))
+/// Loads the job that the arguments name; what is detected, on so many threads, is remembered in a file.
+pub(crate) fn load_remembering(
+    arguments: &InputArguments,
+    cache: &Path,
+    jobs: Option<usize>,
+) -> Result<Job, Failure> {
+    load_with(arguments, RobotOverrides::default(), Some(cache), jobs)
+}
+
+/// What inputs are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum InputKind {
+    /// Recordings.
+    Recordings,
+    /// Images.
+    Images,
+    /// Files of corners.
+    Corners,
+    /// Poses of a target in place of pixels.
+    Sights,
+    /// Cameras that are calibrated.
+    Calibrations,
+}
+
+/// Refuses flags that say nothing of inputs of this kind.
+pub(crate) fn refuse_idle_flags(arguments: &InputArguments, kind: InputKind) -> Result<(), Failure> {
+    use InputKind::{Calibrations, Corners, Images, Recordings, Sights};
+    let flags = [
+        ("--target", arguments.target.is_some(), &[Recordings, Images, Corners][..]),
+        ("--image-size", !arguments.image_size.is_empty(), &[Corners]),
+        ("--camera", !arguments.camera.is_empty(), &[Recordings, Images, Corners]),
+        ("--clock", arguments.clock.is_some(), &[Recordings]),
+        ("--sync-tolerance", arguments.sync_tolerance.is_some(), &[Recordings]),
+    ];
+    let idle = flags.into_iter().find(|(_, is_given, kinds)| *is_given && !kinds.contains(&kind));
+    match idle {
+        None => Ok(()),
+        Some((flag, ..)) => {
+            let what = match kind {
+                Recordings => "recordings",
+                Images => "images",
+                Corners => "files of corners",
+                Sights => "poses of a target",
+                Calibrations => "calibrations",
+            };
+            let message = format!("{flag} says nothing of {what}, which the inputs are");
+            Err(Failure::new(Reason::Usage, message).with_hint("leave it out"))
+        }
+    }
 }
 
 /// Detects the target in images, tells where the time went, and remembers what was seen.
@@ -229,22 +275,26 @@ fn load_with(
     arguments: &InputArguments,
     robot: RobotOverrides,
     cache: Option<&Path>,
+    jobs: Option<usize>,
 ) -> Result<Job, Failure> {
     let inputs = paths(arguments)?;
     let mut overrides = JobOverrides { robot, ..overrides(arguments) };
     // A mistake in the options is told before the time of a detection is spent.
     if let Some(recordings) = load_recordings(&inputs, &overrides)? {
+        refuse_idle_flags(arguments, InputKind::Recordings)?;
         let (table, place) = recordings.options();
-        CalibrateOptions::of_table(table, place)?;
-        let (contents, seen) = detect_in_recordings(&recordings, cache)?;
+        let threads = jobs.unwrap_or(CalibrateOptions::of_table(table, place)?.jobs);
+        let (contents, seen) = with_threads(threads, || detect_in_recordings(&recordings, cache))?;
         return Ok(recordings.with_detections(contents, seen)?);
     }
     if let Some(images) = load_images(&inputs, &overrides)? {
+        refuse_idle_flags(arguments, InputKind::Images)?;
         let (table, place) = images.options();
-        CalibrateOptions::of_table(table, place)?;
-        let seen = detect_in_images(&images, cache)?;
+        let threads = jobs.unwrap_or(CalibrateOptions::of_table(table, place)?.jobs);
+        let seen = with_threads(threads, || detect_in_images(&images, cache))?;
         return Ok(images.with_detections(seen)?);
     }
+    refuse_idle_flags(arguments, InputKind::Corners)?;
     let sizes = &arguments.image_size;
     let named = || sizes.iter().filter_map(|size| Some((size.camera.as_deref()?, size.size)));
     let largest = named().map(|(_, size)| size).reduce(|a, b| [a[0].max(b[0]), a[1].max(b[1])]);

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use boresight_camera::Camera;
 use boresight_data::{Calibration, Dataset, Finding, Target};
 
-use crate::assemble::assemble;
+use crate::assemble::{CameraSpec, assemble};
 use crate::calibration_json::calibration_from_json;
 use crate::format::corner_reader;
+use crate::image_names::Listed;
 use crate::job_file::{JobFile, TargetDescription, name_of, read_job_file, read_points};
 use crate::recording::RecordingOptions;
 use crate::robot_input::{RobotInput, RobotOverrides, load_robot};
@@ -90,6 +91,22 @@ pub fn load_job(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Job, Err
         files.push(read_corners(&file, &bytes, &target, sigma_px)?);
     }
     let mut cameras = job.cameras;
+    if let Some((camera, pattern)) = overrides.cameras.first()
+        && let Some(named) = files.iter().find(|file| file.views.iter().all(|view| view.camera.is_some()))
+    {
+        let message = format!("it says itself which camera saw what: {camera}={pattern} would say it again");
+        return Err(config(Path::new(&named.file), message, "leave --camera out"));
+    }
+    if !overrides.cameras.is_empty() {
+        let spec = |(name, pattern): &(String, String)| {
+            let known = cameras.iter().find(|camera| camera.listed.name == *name);
+            let image_size = overrides.image_size.or(known.map(|camera| camera.image_size));
+            let listed = Listed { name: name.clone(), images: Some(pattern.clone()) };
+            let image_size = image_size.ok_or_else(|| Error::NoImageSize { camera: name.clone() })?;
+            Ok(CameraSpec { listed, image_size })
+        };
+        cameras = overrides.cameras.iter().map(spec).collect::<Result<_, Error>>()?;
+    }
     if let Some(image_size) = overrides.image_size {
         cameras.iter_mut().for_each(|camera| camera.image_size = image_size);
     }
@@ -277,6 +294,17 @@ model = "pinhole"
         let job = load_job(&inputs, &JobOverrides::default()).unwrap();
         assert_eq!(job.dataset.observation_count(), 6);
         assert_eq!(job.dataset.frames.as_slice()[0].name, "left1");
+
+        // Patterns of the command line take the place of the job's cameras.
+        let cameras = |name: &str| vec![(name.to_owned(), "left*.png".to_owned())];
+        let overrides = JobOverrides { cameras: cameras("left"), ..JobOverrides::default() };
+        let job = load_job(&inputs, &overrides).unwrap();
+        assert_eq!(job.dataset.frames.as_slice()[0].name, "1");
+        let overrides = JobOverrides { cameras: cameras("other"), ..JobOverrides::default() };
+        assert!(matches!(load_job(&inputs, &overrides), Err(Error::NoImageSize { .. })));
+        // Where each line names its camera there is nothing to tell.
+        let refused = load_job(&[folder.path().to_owned()], &overrides).unwrap_err();
+        assert!(refused.kind() == Kind::Usage && refused.to_string().contains("says itself"), "{refused}");
     }
 
     #[test]

@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use boresight::{
     CalibrateOptions, HandEyeDocument, HandEyeOptions, HandEyeOutcome, Mounting, NoiseChoice, OutputFile,
-    PoseConvention, RobotNoise, RobotOverrides, SigmaSource, Verdict, Watch, read_sights_job, result_files,
-    write_files,
+    PoseConvention, RobotNoise, RobotOverrides, RobotRows, SightsJob, SigmaSource, Verdict, Watch,
+    read_sights_job, result_files, write_files,
 };
 use clap::{Args, ValueEnum};
 
@@ -16,9 +16,10 @@ use crate::arguments::InputArguments;
 use crate::calibrate::tell_findings;
 use crate::failure::{Failure, Reason};
 use crate::figures::{significant, with_sigma};
+use crate::inputs::{self, InputKind};
 use crate::streams::{answer, note};
+use crate::summary;
 use crate::table::{aligned, row};
-use crate::{inputs, summary};
 
 #[derive(Args, Debug)]
 pub(crate) struct HandEyeArguments {
@@ -102,6 +103,7 @@ pub(crate) fn run(arguments: &HandEyeArguments) -> Result<ExitCode, Failure> {
         && only.exists()
         && let Some(job) = read_sights_job(only, &arguments.robot.overrides())?
     {
+        refuse_idle_flags(arguments, &job)?;
         let print = if arguments.json { Answer::Json } else { Answer::Summary };
         return sighted_poses::run(&job, &arguments.output, print);
     }
@@ -129,6 +131,26 @@ pub(crate) fn run(arguments: &HandEyeArguments) -> Result<ExitCode, Failure> {
         (true, Verdict::Fail) => ExitCode::from(1),
         (true, Verdict::Good | Verdict::Caution) => ExitCode::SUCCESS,
     })
+}
+
+/// Refuses flags that say nothing of a job of poses, or of one of joints.
+fn refuse_idle_flags(arguments: &HandEyeArguments, job: &SightsJob) -> Result<(), Failure> {
+    inputs::refuse_idle_flags(&arguments.input, InputKind::Sights)?;
+    let has_joints = matches!(job.robot, RobotRows::Joints(_));
+    let RobotArguments { poses, poses_as, mount } = &arguments.robot;
+    let flags = [
+        ("--robot-noise", arguments.robot_noise.is_some(), "a job of poses, whose noise is the sights'"),
+        ("--poses", has_joints && !poses.is_empty(), "a job of joints"),
+        ("--poses-as", has_joints && poses_as.is_some(), "a job of joints"),
+        ("--mount", has_joints && mount.is_some(), "a job of joints"),
+    ];
+    match flags.into_iter().find(|(_, is_idle, _)| *is_idle) {
+        None => Ok(()),
+        Some((flag, _, what)) => {
+            let message = format!("{flag} says nothing of {what}");
+            Err(Failure::new(Reason::Usage, message).with_hint("leave it out"))
+        }
+    }
 }
 
 fn mm(metres: f64) -> String {

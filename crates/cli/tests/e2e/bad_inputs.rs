@@ -119,6 +119,9 @@ fn mistakes_on_the_command_line_are_named() {
         (&["--image-size", "640"], &["640x480"]),
         (&["--image-size", "middle=640x480"], &["no camera `middle`", "left, right"]),
         (&["--frobnicate"], &["--frobnicate"]),
+        (&["--clock", "log"], &["--clock says nothing of files of corners", "hint: leave it out"]),
+        (&["--sync-tolerance", "5ms"], &["--sync-tolerance says nothing of files of corners"]),
+        (&["--camera", "left=left*"], &["corners-classic5.csv", "says itself which camera", "--camera out"]),
     ] {
         let arguments: Vec<&str> = ["calibrate", &stereo].into_iter().chain(flags.iter().copied()).collect();
         fails_with(folder.path(), &arguments, 2, parts);

@@ -104,6 +104,11 @@ fn a_job_of_poses_needs_no_pixels() {
     }
     assert!(run.stderr.contains("clock-offset"), "{}", run.stderr);
     assert!(folder.path().join("out/hand-eye.json").is_file());
+    for flags in [&["--robot-noise", "none"][..], &["--target", "chessboard:9x6:25mm"]] {
+        let run = boresight(folder.path(), &[&["robot", "hand-eye", "."], flags].concat());
+        assert_eq!(run.code, Some(2), "{}", run.stderr);
+        assert!(run.stderr.contains(&format!("{} says nothing of", flags[0])), "{}", run.stderr);
+    }
     // Rows of both without times must be as many.
     write("arm.txt", "0 0 0.5 0 0 0 1\n");
     let run = boresight(folder.path(), &["robot", "hand-eye", "."]);

@@ -97,6 +97,10 @@ fn a_board_of_another_size_is_named() {
     assert!(run.stderr.contains("--target"), "{}", run.stderr);
     let run = boresight(folder.path(), &["detect", "cam/*.jpg", "--target", "chessboard:7x5:30mm"]);
     assert_eq!(run.code, Some(2), "{}", run.stderr);
+    let sized = ["detect", "cam", "--target", "chessboard:7x5:30mm", "--image-size", "320x240"];
+    let run = boresight(folder.path(), &sized);
+    assert_eq!(run.code, Some(2), "{}", run.stderr);
+    assert!(run.stderr.contains("--image-size says nothing of images"), "{}", run.stderr);
     // A folder of images needs no job file for a robot either.
     let run = boresight(folder.path(), &["robot", "hand-eye", "cam", "--target", "chessboard:7x5:30mm"]);
     assert_eq!(run.code, Some(2), "{}", run.stderr);

@@ -87,6 +87,9 @@ fn cameras_that_are_apart_in_time_are_told_with_how_far() {
     {
         assert!(text.contains(part), "{part}: {text}");
     }
+    let named = ["info", "drive.mcap", "--camera", "near=*/left/*", "--camera", "far=*/right/*"];
+    let run = boresight(folder.path(), &named);
+    assert!(run.stderr.contains("near and far are 51.00 ± 0.00 ms apart"), "{}", run.stderr);
     let arguments = ["detect", "drive.mcap", "--target", TARGET, "--sync-tolerance", "60ms"];
     let run = boresight(folder.path(), &arguments);
     assert!(!run.stderr.contains("cameras-apart-in-time"), "{}", run.stderr);

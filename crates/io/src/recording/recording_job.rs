@@ -278,7 +278,7 @@ fn drop_repeated(shots: &mut Vec<Timed>, findings: &mut Vec<Finding>) {
     }
 }
 
-fn unused_topic(topic: &str) -> Finding {
+pub(crate) fn unused_topic(topic: &str) -> Finding {
     Finding {
         code: "topic-without-camera".to_owned(),
         severity: Severity::Note,

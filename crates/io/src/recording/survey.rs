@@ -7,11 +7,13 @@ use std::path::PathBuf;
 use boresight_data::{Finding, Severity};
 
 use super::message::read_image_message;
-use super::names::cameras_of_topics;
+use super::names::{assign_topics, cameras_of_topics};
+use super::recording_job::unused_topic;
 use super::records::Damage;
 use super::synchronise::{CameraPair, period_ns, relate, usual_tolerance_ns};
 use super::{Clock, Contents, RecordingOptions, StatedCamera, Topic, read_recordings};
 use crate::Error;
+use crate::image_names::Listed;
 
 /// What is in recordings.
 #[derive(Clone, Debug)]
@@ -61,7 +63,14 @@ struct Gathered {
 }
 
 /// Reads recordings from begin to end, without decoding images.
-pub fn survey_recordings(files: &[PathBuf], options: &RecordingOptions) -> Result<Survey, Error> {
+///
+/// `cameras` are names with patterns of the names of their topics; topics of none of them are left out. Without any,
+/// each topic is a camera.
+pub fn survey_recordings(
+    files: &[PathBuf],
+    options: &RecordingOptions,
+    cameras: &[(String, String)],
+) -> Result<Survey, Error> {
     let mut gathered: BTreeMap<usize, Gathered> = BTreeMap::new();
     let mut look = |image: super::RecordedImage| {
         let gathered = gathered.entry(image.topic_idx).or_default();
@@ -88,8 +97,14 @@ pub fn survey_recordings(files: &[PathBuf], options: &RecordingOptions) -> Resul
     let with_images: Vec<usize> =
         (0..contents.topics.len()).filter(|idx| contents.topics[*idx].is_of_images()).collect();
     let names: Vec<&str> = with_images.iter().map(|idx| contents.topics[*idx].name.as_str()).collect();
-    for (camera, topic_idx) in cameras_of_topics(&names).into_iter().zip(&with_images) {
+    let listed: Vec<Listed> =
+        cameras.iter().cloned().map(|(name, images)| Listed { name, images: Some(images) }).collect();
+    for (camera, topic_idx) in assign_topics(&names, &listed)?.into_iter().zip(&with_images) {
         let topic = &contents.topics[*topic_idx];
+        let Some(camera) = camera else {
+            findings.push(unused_topic(&topic.name));
+            continue;
+        };
         let gathered = gathered.remove(topic_idx).unwrap_or_default();
         if let Some((count, why)) = gathered.unreadable {
             findings.push(Finding {

@@ -280,7 +280,8 @@ fn recordings_without_images_and_unreadable_ones_are_named() {
     let found = loaded(recorded).unwrap();
     assert_eq!(codes(&found), ["unreadable-messages"]);
     assert!(found.findings[0].message.contains("XCDR2"), "{}", found.findings[0].message);
-    let survey = survey_recordings(&[folder.path().join("a.mcap")], &RecordingOptions::default()).unwrap();
+    let survey =
+        survey_recordings(&[folder.path().join("a.mcap")], &RecordingOptions::default(), &[]).unwrap();
     assert_eq!((survey.images[0].sizes.clone(), survey.images[0].messages), (vec![[64, 48]], 2));
     assert!(survey.findings[0].message.contains("XCDR2"));
 }
