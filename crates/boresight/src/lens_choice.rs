@@ -147,10 +147,19 @@ const NOTABLE_SHARE: f64 = 0.03;
 /// Who predicts better by less than this share of the error is not worth more parameters.
 const NEGLIGIBLE_SHARE: f64 = 0.005;
 
-/// Returns which of the trials is the simplest that is not told from the best, or is hardly worse.
+/// Residuals that point the same way by more than this share of the error say that a lens does not fit: 0.35 of the
+/// scatter of a coordinate, from where on the finding `biased-residuals` is told.
+const BIASED_SHARE: f64 = 0.25;
+
+/// Returns which of the trials is the simplest that is not told from the best, or is hardly worse; and whose residuals
+/// point in no common direction, unless the best one's do.
 fn simplest(trials: &[ModelTrial], among: &[usize]) -> Option<usize> {
     let best = *among.iter().min_by(|a, b| trials[**a].held_out_px.total_cmp(&trials[**b].held_out_px))?;
+    let is_biased = |idx: usize| trials[idx].bias_px > BIASED_SHARE * trials[idx].held_out_px;
     let is_as_good = |idx: usize| {
+        if is_biased(idx) && !is_biased(best) {
+            return false;
+        }
         let (mean, error) = excess(&trials[idx].views, &trials[best].views);
         let more = trials[idx].held_out_px / trials[best].held_out_px - 1.0;
         more <= NEGLIGIBLE_SHARE || (more <= NOTABLE_SHARE && mean <= SIGNIFICANT * error)
@@ -198,6 +207,19 @@ mod tests {
         assert!(selection.why.contains("opencv12 is refused: the lens folds back"), "{}", selection.why);
         let folding = trials.split_off(3);
         assert!(select("cam", folding).unwrap_err().to_string().contains("folds back"));
+    }
+
+    #[test]
+    fn a_lens_whose_residuals_point_the_same_way_is_not_as_good_as_one_whose_do_not() {
+        let mut trials =
+            vec![trial("opencv4", &[50.2, 52.0, 49.0, 51.2]), trial("opencv5", &[50.0, 52.0, 49.0, 51.0])];
+        let chosen = |trials: &[ModelTrial]| select("cam", trials.to_vec()).unwrap().model.name();
+        assert_eq!(chosen(&trials), "opencv4");
+        trials[0].bias_px = 0.3 * trials[0].held_out_px;
+        assert_eq!(chosen(&trials), "opencv5");
+        // Where no lens fits, the simplest will do.
+        trials[1].bias_px = trials[0].bias_px;
+        assert_eq!(chosen(&trials), "opencv4");
     }
 
     #[test]
