@@ -88,8 +88,8 @@ impl MrcalProblem {
         Ok(Self { dataset, seed, arrays })
     }
 
-    /// Returns the corners that were displaced, and those of them that lie more than `sigmas` away from where
-    /// the truth says; problems that have no truth of the same lens model go by the displacement alone.
+    /// Returns the corners that were displaced, and those of them that lie more than `sigmas` away from where the
+    /// truth says, which must be of opencv8; a corner that it does not see goes by the displacement alone.
     pub fn true_outliers(&self, sigma_px: f64, sigmas: f64) -> TrueOutliers {
         let n_points = self.dataset.targets[TargetId(0)].point_count();
         let mut outliers = TrueOutliers::default();
