@@ -11,11 +11,9 @@ use boresight_io::read_calibration;
 
 use crate::choices::BadChoice;
 use crate::error::Error;
+use crate::known_rig::POSE_COLUMNS;
 use crate::options::{CalibrateOptions, typical_sigma_px};
 use crate::shared_lens::{Group, camera_of, sharers};
-
-/// The columns of a pose, as calibrations name them.
-const POSE_COLUMNS: [&str; 6] = ["rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m"];
 
 /// Something that is not estimated.
 #[derive(Clone, Debug, PartialEq, Eq)]

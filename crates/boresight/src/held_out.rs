@@ -175,13 +175,17 @@ pub(crate) fn place_frames(
     scene: &Scene,
     options: &AdjustOptions,
 ) -> Result<Scene, Error> {
-    let mut holds = vec![Hold::Shapes];
-    for camera in dataset.cameras.ids() {
-        holds.extend([Hold::Lens(camera), Hold::CamFromRig(camera)]);
-    }
-    holds.extend(scene.targets.ids().map(Hold::FirstFromTarget));
+    let holds = all_but_frames(dataset, scene);
     let options = AdjustOptions { holds, rejection: Rejection::None, ..options.clone() };
     Ok(optimize(dataset, scene, &options)?.scene)
+}
+
+/// Returns what holds everything but where the targets stood.
+pub(crate) fn all_but_frames(dataset: &Dataset, scene: &Scene) -> Vec<Hold> {
+    let of_camera = |camera| [Hold::Lens(camera), Hold::CamFromRig(camera)];
+    let cameras = dataset.cameras.ids().flat_map(of_camera);
+    let targets = scene.targets.ids().map(Hold::FirstFromTarget);
+    std::iter::once(Hold::Shapes).chain(cameras).chain(targets).collect()
 }
 
 /// Sums up the residuals of all views.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use boresight_adjust::{AdjustOptions, Hold, Regularization, adjust};
+use boresight_adjust::{AdjustOptions, Regularization, adjust};
 use boresight_data::{
     Calibration, CameraId, Dataset, IdVec, Rejection, RejectionReason, Rig, Scene, TargetBelief, Transfer,
 };
@@ -11,7 +11,7 @@ use boresight_seed::place;
 use serde::Serialize;
 
 use crate::error::Error;
-use crate::held_out::{transfer, without_rejected};
+use crate::held_out::{all_but_frames, transfer, without_rejected};
 
 /// How a calibration meets data that it was not made from.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -73,11 +73,7 @@ pub fn verify(
     if start.rig_from_target.iter().all(Option::is_none) {
         return Err(Error::NothingPlaced { views: dataset.views.len() });
     }
-    let mut holds = vec![Hold::Shapes];
-    for camera in dataset.cameras.ids() {
-        holds.extend([Hold::Lens(camera), Hold::CamFromRig(camera)]);
-    }
-    holds.extend(start.targets.ids().map(Hold::FirstFromTarget));
+    let holds = all_but_frames(&dataset, &start);
     // What is held needs no regularisation, and its cost is no error of the data.
     let regularization = Regularization::None;
     let options = AdjustOptions { holds, regularization, checkpoint: None, ..options.clone() };

@@ -9,7 +9,7 @@ use crate::assemble::{CameraSpec, assemble, natural_order};
 use crate::image_files::{ImageFile, find_images};
 use crate::image_names::{Listed, assign};
 use crate::image_pixels::{ReadImage, image_from_bytes};
-use crate::job::{Head, Job, JobOverrides, config, hash, head, named_inputs, read, robot_of};
+use crate::job::{Head, Job, JobOverrides, hash, head_beside, named_inputs, read, robot_of};
 use crate::robot_input::RobotOverrides;
 use crate::seen::{SeenFile, SeenView, describe};
 use crate::{Error, Place};
@@ -51,17 +51,7 @@ pub fn load_images(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Optio
         images = find_images(&named_inputs(inputs)?.images)?.0;
     }
     let Some(first) = images.first() else { return Ok(None) };
-    let first = first.path.clone();
-    let head = head(&others, overrides).map_err(|error| match error {
-        Error::Config { message, fix, .. } if others.is_empty() => {
-            config(&first, message, fix.as_deref().unwrap_or_default())
-        }
-        error => error,
-    })?;
-    if let Some(other) = head.others.first() {
-        let message = "it is neither image nor job, beside images".to_owned();
-        return Err(config(other, message, "calibrate from images or from corners, one at a time"));
-    }
+    let head = head_beside("image", &first.path, &others, overrides)?;
     let robot = overrides.robot.clone();
     Ok(Some(ImageJob { images, head, cameras: overrides.cameras.clone(), robot }))
 }

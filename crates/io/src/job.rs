@@ -193,6 +193,29 @@ pub(crate) fn head(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Head,
     Ok(Head { folder, job, options_place, target, hashes, place, others })
 }
 
+/// Reads the head of a job beside images or recordings, the first of which is `first`; `others` are the other inputs.
+pub(crate) fn head_beside(
+    what: &str,
+    first: &Path,
+    others: &[PathBuf],
+    overrides: &JobOverrides,
+) -> Result<Head, Error> {
+    let head = head(others, overrides).map_err(|error| match error {
+        Error::Config { message, fix, .. } if others.is_empty() => {
+            config(first, message, fix.as_deref().unwrap_or_default())
+        }
+        error => error,
+    })?;
+    match head.others.first() {
+        None => Ok(head),
+        Some(other) => {
+            let message = format!("it is neither {what} nor job, beside {what}s");
+            let fix = "calibrate from images, recordings or corners, one at a time";
+            Err(config(other, message, fix))
+        }
+    }
+}
+
 /// The files that a job names in its `[input]`.
 #[derive(Default)]
 pub(crate) struct NamedInputs {

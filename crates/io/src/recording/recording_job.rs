@@ -12,7 +12,7 @@ use super::synchronise::{Shot, frames_of, usual_tolerance_ns};
 use super::{Contents, EXTENSION, RecordedImage, read_recordings};
 use crate::image_job::{Findings, SeenImage, finish};
 use crate::image_names::Listed;
-use crate::job::{Head, Job, JobOverrides, config, head, named_inputs};
+use crate::job::{Head, Job, JobOverrides, head_beside, named_inputs};
 use crate::robot_input::RobotOverrides;
 use crate::seen::SeenView;
 use crate::{Error, Place};
@@ -69,17 +69,7 @@ pub fn load_recordings(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<O
         files = named_inputs(&others)?.recordings;
     }
     let Some(first) = files.first() else { return Ok(None) };
-    let first = first.clone();
-    let head = head(&others, overrides).map_err(|error| match error {
-        Error::Config { message, fix, .. } if others.is_empty() => {
-            config(&first, message, fix.as_deref().unwrap_or_default())
-        }
-        error => error,
-    })?;
-    if let Some(other) = head.others.first() {
-        let message = "it is neither recording nor job, beside recordings".to_owned();
-        return Err(config(other, message, "calibrate from recordings, images or corners, one at a time"));
-    }
+    let head = head_beside("recording", first, &others, overrides)?;
     let (cameras, robot) = (overrides.cameras.clone(), overrides.robot.clone());
     Ok(Some(RecordingJob { files, head, cameras, robot, options: overrides.recording }))
 }
