@@ -70,6 +70,10 @@ fn in_recordings(arguments: &DetectArguments, recordings: RecordingJob) -> Resul
     let mut n_used = 0;
     for (topic_idx, topic) in contents.topics.iter().enumerate().filter(|(_, topic)| topic.is_of_images()) {
         let of_topic = || seen.iter().filter(|seen| seen.topic_idx == topic_idx);
+        if of_topic().next().is_none() {
+            rows.push(row([&topic.name, &topic.messages.to_string(), "not used"]));
+            continue;
+        }
         let readable = || of_topic().filter_map(|seen| seen.seen.as_ref().ok());
         let used = readable().filter(|(_, seen)| !seen.observations.is_empty()).count();
         n_used += used;

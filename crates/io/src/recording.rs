@@ -34,7 +34,7 @@ pub use write::{Packing, RecordedValue, RecordingWriter};
 
 use crate::{Error, Place};
 use message::{Content, Kind, read_camera_info, read_image_message};
-use records::{ChannelRecord, Damage, Listener, MAGIC, read_records};
+use records::{ChannelRecord, Damage, Listener, MAGIC, read_counts, read_records};
 
 /// The ending of the name of a recording.
 pub(crate) const EXTENSION: &str = "mcap";
@@ -125,11 +125,40 @@ pub struct Contents {
     strays: Vec<(String, usize)>,
 }
 
-/// Reads recordings one after the other, and hands out their images in the order of the files.
+/// Returns the topics of recordings with the numbers of their messages as the files' summaries tell, without reading
+/// any; `None` if the summary of one does not.
+pub(crate) fn read_topics(files: &[PathBuf]) -> Result<Option<Contents>, Error> {
+    let mut contents = Contents::default();
+    let mut topics = BTreeMap::new();
+    for path in files {
+        check_begin(path)?;
+        let wrong = |source| Error::Read { file: path.display().to_string(), source };
+        let mut gatherer = Gatherer {
+            contents: &mut contents,
+            topics: &mut topics,
+            schemas: BTreeMap::new(),
+            channels: BTreeMap::new(),
+            strays: 0,
+            is_wanted: &|_| false,
+            deliver: &mut |_| ControlFlow::Break(()),
+        };
+        let opened = File::open(path).map_err(wrong)?;
+        let Some(counts) = read_counts(opened, &mut gatherer).map_err(wrong)? else { return Ok(None) };
+        let channels = gatherer.channels;
+        for (channel, count) in counts {
+            let Some((topic_idx, _)) = channels.get(&channel) else { return Ok(None) };
+            contents.topics[*topic_idx].messages += usize::try_from(count).unwrap_or(usize::MAX);
+        }
+    }
+    Ok(Some(contents))
+}
+
+/// Reads recordings one after the other, and hands out the images of topics that are wanted in the order of the files.
 ///
 /// Reading ends early if `deliver` says so.
 pub(crate) fn read_recordings(
     files: &[PathBuf],
+    is_wanted: &dyn Fn(&Topic) -> bool,
     deliver: &mut dyn FnMut(RecordedImage) -> ControlFlow<()>,
 ) -> Result<Contents, Error> {
     let mut contents = Contents::default();
@@ -148,6 +177,7 @@ pub(crate) fn read_recordings(
                 schemas: BTreeMap::new(),
                 channels: BTreeMap::new(),
                 strays: 0,
+                is_wanted,
                 deliver,
             };
             let damages = read_records(opened, &mut gatherer).map_err(wrong)?;
@@ -179,6 +209,7 @@ pub(crate) fn read_recording_bytes<R: std::io::Read + std::io::Seek>(
         schemas: BTreeMap::new(),
         channels: BTreeMap::new(),
         strays: 0,
+        is_wanted: &|_| true,
         deliver,
     };
     read_records(source, &mut gatherer)?;
@@ -244,9 +275,11 @@ struct Gatherer<'a> {
     topics: &'a mut BTreeMap<(String, String, String), usize>,
     /// The names of this file's schemas.
     schemas: BTreeMap<u16, String>,
-    /// The topics of this file's channels.
-    channels: BTreeMap<u16, usize>,
+    /// The topics of this file's channels, and whether their messages are read.
+    channels: BTreeMap<u16, (usize, bool)>,
     strays: usize,
+    /// Whether the images of a topic are wanted.
+    is_wanted: &'a dyn Fn(&Topic) -> bool,
     deliver: &'a mut dyn FnMut(RecordedImage) -> ControlFlow<()>,
 }
 
@@ -270,21 +303,23 @@ impl Listener for Gatherer<'_> {
             });
             topics.len() - 1
         });
-        self.channels.insert(channel.id, topic_idx);
+        let topic = &self.contents.topics[topic_idx];
+        let is_read =
+            topic.kind.is_some_and(Kind::is_read) && (!topic.is_of_images() || (self.is_wanted)(topic));
+        self.channels.insert(channel.id, (topic_idx, is_read));
     }
 
     fn wants(&mut self, channel_id: u16) -> bool {
-        let Some(&topic_idx) = self.channels.get(&channel_id) else {
+        let Some(&(topic_idx, is_read)) = self.channels.get(&channel_id) else {
             self.strays += 1;
             return false;
         };
-        let topic = &mut self.contents.topics[topic_idx];
-        topic.messages += 1;
-        topic.kind.is_some_and(Kind::is_read)
+        self.contents.topics[topic_idx].messages += 1;
+        is_read
     }
 
     fn message(&mut self, channel_id: u16, log_time_ns: u64, data: Vec<u8>) -> ControlFlow<()> {
-        let Some(&topic_idx) = self.channels.get(&channel_id) else { return ControlFlow::Continue(()) };
+        let Some(&(topic_idx, _)) = self.channels.get(&channel_id) else { return ControlFlow::Continue(()) };
         let topic = &mut self.contents.topics[topic_idx];
         let Some(kind) = topic.kind else { return ControlFlow::Continue(()) };
         if kind.content == Content::CameraInfo {

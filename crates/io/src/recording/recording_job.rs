@@ -1,6 +1,6 @@
 //! A job whose corners are still in recordings, and the job once points are detected in their images.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use boresight_data::{Finding, Severity, Target};
 use super::names::assign_topics;
 use super::survey::{contents_findings, time_findings};
 use super::synchronise::{Shot, frames_of, usual_tolerance_ns};
-use super::{Contents, EXTENSION, RecordedImage, read_recordings};
+use super::{Contents, EXTENSION, RecordedImage, Topic, read_recordings, read_topics};
 use crate::image_job::{Findings, SeenImage, finish};
 use crate::image_names::Listed;
 use crate::job::{Head, Job, JobOverrides, head_beside, named_inputs};
@@ -85,43 +85,64 @@ impl RecordingJob {
         (&self.head.job.options, self.head.options_place.as_ref())
     }
 
-    /// Reads the recordings, and hands out their images in the order of the files. Reading ends early if `deliver` says so.
+    /// Reads the recordings, and hands out the images that are used in the order of the files. Reading ends early if
+    /// `deliver` says so.
+    ///
+    /// Which topics are used is known beforehand where the summaries tell what there is; else images are handed out
+    /// that are not used.
     pub fn read(&self, deliver: &mut dyn FnMut(RecordedImage) -> ControlFlow<()>) -> Result<Contents, Error> {
-        read_recordings(&self.files, deliver)
+        let listed = self.listed();
+        let unused = |contents: &Contents| -> BTreeSet<usize> {
+            let used = cameras_of(contents, &listed, &mut Vec::new()).unwrap_or_default();
+            let is_idle = |idx: &usize| !used.is_empty() && !used.contains_key(idx);
+            (0..contents.topics.len()).filter(is_idle).collect()
+        };
+        let key = |topic: &Topic| (topic.name.clone(), topic.schema.clone(), topic.encoding.clone());
+        let told = read_topics(&self.files)?.unwrap_or_default();
+        let skipped: BTreeSet<_> = unused(&told).into_iter().map(|idx| key(&told.topics[idx])).collect();
+        let mut flow = ControlFlow::Continue(());
+        let mut handed = |image| {
+            flow = deliver(image);
+            flow
+        };
+        let contents = read_recordings(&self.files, &|topic| !skipped.contains(&key(topic)), &mut handed)?;
+        // Where a file is damaged, nothing may be left of a topic that was to be used, and another takes its place.
+        let still_unused = unused(&contents);
+        let topics = contents.topics.iter().enumerate();
+        let missed: BTreeSet<_> = topics
+            .filter(|(idx, topic)| topic.messages > 0 && !still_unused.contains(idx))
+            .map(|(_, topic)| key(topic))
+            .filter(|key| skipped.contains(key))
+            .collect();
+        if flow.is_continue() && !missed.is_empty() {
+            read_recordings(&self.files, &|topic| missed.contains(&key(topic)), deliver)?;
+        }
+        Ok(contents)
+    }
+
+    fn listed(&self) -> Vec<Listed> {
+        if self.cameras.is_empty() {
+            return self.head.job.cameras.iter().map(|spec| spec.listed.clone()).collect();
+        }
+        let listed =
+            |(name, pattern): &(String, String)| Listed { name: name.clone(), images: Some(pattern.clone()) };
+        self.cameras.iter().map(listed).collect()
     }
 
     /// Returns the job, with what was seen in each image, in any order.
     ///
     /// What cannot be used becomes a finding. It is an error if there is no image or nothing was detected at all.
     pub fn with_detections(self, contents: Contents, mut seen: Vec<SeenRecorded>) -> Result<Job, Error> {
-        let Self { files, mut head, cameras, robot, options } = self;
-        let listed: Vec<Listed> = if cameras.is_empty() {
-            head.job.cameras.iter().map(|spec| spec.listed.clone()).collect()
-        } else {
-            cameras.into_iter().map(|(name, pattern)| Listed { name, images: Some(pattern) }).collect()
-        };
-        let image_topics: Vec<usize> = (0..contents.topics.len())
-            .filter(|idx| contents.topics[*idx].is_of_images() && contents.topics[*idx].messages > 0)
-            .collect();
-        let names: Vec<&str> = image_topics.iter().map(|idx| contents.topics[*idx].name.as_str()).collect();
-        if names.is_empty() {
+        let listed = self.listed();
+        let Self { files, mut head, cameras: _, robot, options } = self;
+        if image_topics(&contents).is_empty() {
             let file = files.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
             let topic =
                 |topic: &super::Topic| format!("{} ({}, {})", topic.name, topic.schema, topic.encoding);
             return Err(Error::NoImageTopic { file, topics: contents.topics.iter().map(topic).collect() });
         }
         let mut findings = Findings { all: contents_findings(&contents), ..Findings::default() };
-        let assigned = assign_topics(&names, &listed)?;
-        let mut camera_of: BTreeMap<usize, String> = BTreeMap::new();
-        for (topic_idx, camera) in image_topics.iter().zip(&assigned) {
-            match camera {
-                None => findings.all.push(unused_topic(&contents.topics[*topic_idx].name)),
-                Some(camera) => {
-                    camera_of.insert(*topic_idx, camera.clone());
-                }
-            }
-        }
-        one_topic_per_camera(&contents, &mut camera_of, &mut findings.all);
+        let camera_of = cameras_of(&contents, &listed, &mut findings.all)?;
 
         seen.retain(|seen| camera_of.contains_key(&seen.topic_idx));
         seen.sort_by_key(|seen| (seen.topic_idx, seen.index));
@@ -185,6 +206,33 @@ impl RecordingJob {
         }
         Ok(job)
     }
+}
+
+/// Returns the topics that hold images.
+fn image_topics(contents: &Contents) -> Vec<usize> {
+    let is_one = |idx: &usize| contents.topics[*idx].is_of_images() && contents.topics[*idx].messages > 0;
+    (0..contents.topics.len()).filter(is_one).collect()
+}
+
+/// Returns the camera of each topic that is used, and notes the others.
+fn cameras_of(
+    contents: &Contents,
+    listed: &[Listed],
+    findings: &mut Vec<Finding>,
+) -> Result<BTreeMap<usize, String>, Error> {
+    let image_topics = image_topics(contents);
+    let names: Vec<&str> = image_topics.iter().map(|idx| contents.topics[*idx].name.as_str()).collect();
+    let mut camera_of: BTreeMap<usize, String> = BTreeMap::new();
+    for (topic_idx, camera) in image_topics.iter().zip(assign_topics(&names, listed)?) {
+        match camera {
+            None => findings.push(unused_topic(&contents.topics[*topic_idx].name)),
+            Some(camera) => {
+                camera_of.insert(*topic_idx, camera);
+            }
+        }
+    }
+    one_topic_per_camera(contents, &mut camera_of, findings);
+    Ok(camera_of)
 }
 
 /// An image with the time that is believed.

@@ -4,6 +4,7 @@
 //! ends at its own end, and where the length of a record cannot be believed, reading goes on at the next chunk that the
 //! file's own summary names. The layout is that of <https://mcap.dev/spec>.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::ops::ControlFlow;
@@ -141,6 +142,19 @@ pub(crate) fn read_records<R: Read + Seek>(file: R, listener: &mut dyn Listener)
         };
     }
     Ok(damages)
+}
+
+/// Tells of the schemas and channels in a file's summary, and returns how many messages each channel has; `None` where the
+/// summary does not say.
+pub(crate) fn read_counts<R: Read + Seek>(
+    file: R,
+    listener: &mut dyn Listener,
+) -> io::Result<Option<BTreeMap<u16, u64>>> {
+    let mut file = BufReader::with_capacity(1 << 16, file);
+    let end = file.seek(SeekFrom::End(0))?;
+    let summary = read_summary(&mut file, end)?;
+    tell_summary(&summary, listener);
+    Ok(summary.and_then(|summary| summary.stats).map(|statistics| statistics.channel_message_counts))
 }
 
 /// Reads the file's summary; `None` where it has none that can be read.

@@ -90,7 +90,7 @@ pub fn survey_recordings(
         }
         ControlFlow::Continue(())
     };
-    let contents = read_recordings(files, &mut look)?;
+    let contents = read_recordings(files, &|_| true, &mut look)?;
     let mut findings = contents_findings(&contents);
     let mut images = Vec::new();
     let mut times_ns = Vec::new();

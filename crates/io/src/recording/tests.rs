@@ -44,7 +44,7 @@ fn read(files: &[&[u8]]) -> Result<(Contents, Vec<(usize, DecodedImage)>), Error
         std::fs::write(path, bytes).unwrap();
     }
     let mut images = Vec::new();
-    let contents = read_recordings(&paths, &mut |image| {
+    let contents = read_recordings(&paths, &|_| true, &mut |image| {
         if let Ok(decoded) = image.decode() {
             images.push((image.topic_idx, decoded));
         }
@@ -230,6 +230,39 @@ fn the_times_of_recording_are_taken_on_request_and_where_there_are_no_stamps() {
     let (_folder, recorded) = job(&[("a.mcap", writer.finish().unwrap())], RecordingOptions::default());
     let unstamped = loaded(recorded).unwrap();
     assert_eq!((codes(&unstamped), unstamped.dataset.frames.len()), (vec!["no-time-stamps"], 3));
+}
+
+#[test]
+fn topics_that_are_not_used_are_not_read_unless_those_that_were_to_be_are_lost() {
+    let mut writer = RecordingWriter::new(Path::new("x"), Vec::new(), Packing::Zstd).unwrap();
+    for i in 0..4_i64 {
+        writer.image("/cam/image_raw", i * SECOND, i * SECOND, &image(i as usize, [64, 48])).unwrap();
+    }
+    let raw = writer.finish().unwrap();
+    let mut writer = RecordingWriter::new(Path::new("x"), Vec::new(), Packing::Zstd).unwrap();
+    for i in 0..3 {
+        let schema = "sensor_msgs/msg/CompressedImage";
+        writer.message("/cam/image_raw/compressed", schema, "cdr", i, &[0; 4]).unwrap();
+    }
+    let compressed = writer.finish().unwrap();
+    let delivered = |raw: Vec<u8>| {
+        let files = [("a.mcap", raw), ("b.mcap", compressed.clone())];
+        let (_folder, recorded) = job(&files, RecordingOptions::default());
+        let mut topics = Vec::new();
+        let contents = recorded.read(&mut |image| {
+            topics.push(image.topic_idx);
+            ControlFlow::Continue(())
+        });
+        let contents = contents.unwrap();
+        assert_eq!(contents.topics[1].messages, 3, "what is not read is counted");
+        topics.into_iter().map(|idx| contents.topics[idx].name.clone()).collect::<Vec<String>>()
+    };
+    assert_eq!(delivered(raw.clone()), ["/cam/image_raw"; 4]);
+    // The chunk with all raw images is spoilt, though the summary tells of them.
+    let mut spoilt = raw;
+    let chunk = spoilt.windows(4).position(|four| four == [0x28, 0xb5, 0x2f, 0xfd]).unwrap();
+    spoilt[chunk..chunk + 12].fill(0);
+    assert_eq!(delivered(spoilt), ["/cam/image_raw/compressed"; 3]);
 }
 
 #[test]
