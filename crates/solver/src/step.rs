@@ -220,7 +220,14 @@ impl WithSimd for Eliminate<'_> {
         let Self { places, stride, groups, sums, damping, into } = self;
         into.failed = false;
         let matrix = &mut *into.matrix;
-        matrix.fill(0.0);
+        if places.is_some() {
+            matrix.fill(0.0);
+        } else {
+            // What is left of where the first panel may begin is never touched.
+            for (row, entries) in matrix.chunks_exact_mut(stride).enumerate() {
+                entries[row.saturating_sub(COLUMNS + ROWS)..].fill(0.0);
+            }
+        }
         into.gradient.fill(0.0);
         into.triangles.clear();
         let mut waiting: Option<&Group> = None;
@@ -342,6 +349,9 @@ fn add_gradient<S: Simd>(simd: S, group: &Group, y: &[Panel], gradient: &[f64; S
     }
 }
 
+/// Rows at once: they keep their 24 factors in registers, where there are 32.
+const ROWS: usize = 4;
+
 /// Adds `Yᵀ Y` of groups with the columns of `group` to the upper triangle of a matrix with rows `stride` apart.
 ///
 /// Panels begin left of the diagonal and end right of their run; what they add there is never read
@@ -356,14 +366,13 @@ fn add_outer<S: Simd>(simd: S, stride: usize, group: &Group, ys: &[Panel], matri
     for (run_idx, &(_, column, length)) in group.runs.iter().enumerate() {
         let runs = &group.runs[run_idx..];
         let mut row = 0;
-        // Four rows at once keep their 24 factors in registers, where there are 32.
         if S::REGISTER_COUNT >= 32 {
-            while row + 4 <= length {
-                let rows = &mut matrix[(column + row) * stride..(column + row + 4) * stride];
+            while row + ROWS <= length {
+                let rows = &mut matrix[(column + row) * stride..(column + row + ROWS) * stride];
                 for y in ys.chunks_exact(n_panels) {
-                    add_rows::<S, 4>(simd, stride, runs, y, first_panel, row, rows);
+                    add_rows::<S, ROWS>(simd, stride, runs, y, first_panel, row, rows);
                 }
-                row += 4;
+                row += ROWS;
             }
         }
         while row < length {
