@@ -65,10 +65,9 @@ fn detect_at(image: &GrayImage, planes: &Planes, level: usize, target: &Target) 
         .map(|lattice| at_full_size(lattice, scale))
         .collect();
     let Some(largest) = lattices.first() else { return Detection::missed(Missed::NoBoard) };
-    let contrast = mean_contrast(largest);
     let read = |lattice: &Lattice, border: usize| -> Vec<Reading> {
         let cell = MarkerCell { inset: 0.0, border, white_at: -0.5 * spacing };
-        let least_contrast = MARKER_CONTRAST_SHARE * mean_contrast(lattice);
+        let least_contrast = MARKER_CONTRAST_SHARE * mean_contrast(std::iter::once(lattice));
         let marker = |corners| read_marker(image, corners, &cell, dictionary, least_contrast);
         cells(lattice, false)
             .filter_map(|(cell, corners)| Some(Reading { cell, marker: marker(corners)? }))
@@ -80,12 +79,12 @@ fn detect_at(image: &GrayImage, planes: &Planes, level: usize, target: &Target) 
         let readings: Vec<Vec<Reading>> = lattices.iter().map(|lattice| read(lattice, border)).collect();
         let has_tag = |id: u32| i32::try_from(id).is_ok_and(|id| id < columns.saturating_mul(rows));
         let corner_of = |id: u32| has_tag(id).then(|| first_corner(id, columns));
-        let vote = |(lattice, readings): (&Lattice, &Vec<Reading>)| {
+        let vote = |readings: &Vec<Reading>| {
             let vote = count(readings, corner_of, lying).filter(Vote::is_sure)?;
-            has_place(lattice, &vote, [2 * columns, 2 * rows]).then_some(vote)
+            has_place(&vote, [2 * columns, 2 * rows]).then_some(vote)
         };
-        let votes: Vec<Option<Vote>> = lattices.iter().zip(&readings).map(vote).collect();
-        let n = votes.iter().flatten().map(|vote| vote.votes).sum();
+        let votes: Vec<Option<Vote>> = readings.iter().map(vote).collect();
+        let n = votes.iter().flatten().map(|vote| vote.cells.len()).sum();
         if n > best.as_ref().map_or(0, |(n, ..)| *n) {
             best = Some((n, border, votes));
         }
@@ -100,6 +99,9 @@ fn detect_at(image: &GrayImage, planes: &Planes, level: usize, target: &Target) 
         return Detection::missed(other);
     }
     let seen = labelled(lattices.iter().zip(&votes));
+    let contrast = mean_contrast(
+        lattices.iter().zip(&votes).filter_map(|(lattice, vote)| vote.as_ref().map(|_| lattice)),
+    );
     let pitch = 1.0 + spacing;
     let along = |n: i32| {
         (-1..=2 * n).map(|k| f64::from(k.div_euclid(2)) + f64::from(k.rem_euclid(2)) / pitch).collect()
@@ -151,7 +153,7 @@ fn other_size(readings: &[Vec<Reading>], [columns, rows]: [i32; 2]) -> Option<Mi
     let readings = readings.iter().max_by_key(|readings| readings.len())?;
     let of_width =
         |width: i32| count(readings, |id| Some(first_corner(id, width)), lying).filter(Vote::is_sure);
-    let votes = |vote: &Option<Vote>| vote.map_or(0, |vote| vote.votes);
+    let votes = |vote: &Option<Vote>| vote.as_ref().map_or(0, |vote| vote.cells.len());
     let declared = of_width(columns);
     let highest = |width: i32| {
         // A misread id must not make the grid higher.

@@ -85,7 +85,7 @@ fn detect_at(image: &GrayImage, planes: &Planes, level: usize, board: &Board) ->
         .map(|lattice| ReadLattice { readings: read_all(image, &lattice, board, board.dictionary), lattice })
         .collect();
     let both = [Pattern::Current, Pattern::Legacy].map(|pattern| (pattern, votes(&lattices, board, pattern)));
-    let sum = |votes: &[Option<Vote>]| votes.iter().flatten().map(|vote| vote.votes).sum::<usize>();
+    let sum = |votes: &[Option<Vote>]| votes.iter().flatten().map(|vote| vote.cells.len()).sum::<usize>();
     let [n_current, n_legacy] = both.each_ref().map(|(_, votes)| sum(votes));
     if n_current.max(n_legacy) == 0 {
         return Detection::missed(other_board(image, &lattices, board));
@@ -99,7 +99,9 @@ fn detect_at(image: &GrayImage, planes: &Planes, level: usize, board: &Board) ->
     if let Some(missed) = too_far(&lattices, &votes, board, pattern) {
         return Detection::missed(missed);
     }
-    let contrast = mean_contrast(&lattices[0].lattice);
+    let contrast = mean_contrast(
+        lattices.iter().zip(&votes).filter_map(|(read, vote)| vote.as_ref().map(|_| &read.lattice)),
+    );
     let seen = labelled(lattices.iter().map(|lattice| &lattice.lattice).zip(&votes));
     let drawing = Drawing {
         size: [board.columns - 1, board.rows - 1],
@@ -136,7 +138,9 @@ pub(crate) fn labelled<'a>(
     let mut seen: BTreeMap<[i32; 2], Option<[f64; 2]>> = BTreeMap::new();
     for (lattice, vote) in lattices {
         let Some(vote) = vote else { continue };
-        for (at, corner) in &lattice.corners {
+        // What else is joined to them may be corners of markers. Where there are more of the board, they are found from these.
+        let believed = vote.corners();
+        for (at, corner) in lattice.corners.iter().filter(|(at, _)| believed.contains(*at)) {
             let place = seen.entry(vote.labelling.label(*at)).or_insert(Some(corner.pixel));
             if place.is_some_and(|pixel| distance(pixel, corner.pixel) > 2.0) {
                 *place = None;
@@ -146,14 +150,16 @@ pub(crate) fn labelled<'a>(
     seen.into_iter().filter_map(|(at, pixel)| Some((at, pixel?))).collect()
 }
 
-pub(crate) fn mean_contrast(lattice: &Lattice) -> f64 {
-    let n = lattice.corners.len().max(1) as f64;
-    lattice.corners.values().map(|corner| corner.contrast).sum::<f64>() / n
+/// Returns the mean contrast of the corners of some lattices, zero without any.
+pub(crate) fn mean_contrast<'a>(lattices: impl Iterator<Item = &'a Lattice>) -> f64 {
+    let contrasts = lattices.flat_map(|lattice| lattice.corners.values().map(|corner| corner.contrast));
+    let (sum, n) = contrasts.fold((0.0, 0.0), |(sum, n), contrast| (sum + contrast, n + 1.0));
+    sum / f64::max(n, 1.0)
 }
 
 /// Reads the markers of a dictionary in the bright cells of a lattice.
 fn read_all(image: &GrayImage, lattice: &Lattice, board: &Board, dictionary: Dictionary) -> Vec<Reading> {
-    let least_contrast = MARKER_CONTRAST_SHARE * mean_contrast(lattice);
+    let least_contrast = MARKER_CONTRAST_SHARE * mean_contrast(std::iter::once(lattice));
     cells(lattice, true)
         .filter_map(|(cell, corners)| {
             let marker = read_marker(image, corners, &board.cell, dictionary, least_contrast)?;
@@ -186,16 +192,16 @@ fn votes(lattices: &[ReadLattice], board: &Board, pattern: Pattern) -> Vec<Optio
         let size = [board.columns - 1, board.rows - 1];
         let vote = count(&lattice.readings, corner_of, upright).filter(Vote::is_sure)?;
         // A board one of whose columns is missing on one side and too many on the other is of the other pattern.
-        has_place(&lattice.lattice, &vote, size).then_some(vote)
+        has_place(&vote, size).then_some(vote)
     };
     lattices.iter().map(vote).collect()
 }
 
-/// Tells whether a board of so many corners has a place for those of a lattice, but for stray ones.
+/// Tells whether a board of so many corners has a place for those around the markers that agree.
 ///
 /// It has none if a row that would be its last goes on as a row of which half is there, or a third is beyond its ends.
-pub(crate) fn has_place(lattice: &Lattice, vote: &Vote, size: [i32; 2]) -> bool {
-    let labels: Vec<[i32; 2]> = lattice.corners.keys().map(|at| vote.labelling.label(*at)).collect();
+pub(crate) fn has_place(vote: &Vote, size: [i32; 2]) -> bool {
+    let labels: Vec<[i32; 2]> = vote.corners().into_iter().map(|at| vote.labelling.label(at)).collect();
     let is_on = |label: &&[i32; 2]| (0..2).all(|axis| (0..size[axis]).contains(&label[axis]));
     let n_on = labels.iter().filter(is_on).count();
     let goes_on = |axis: usize, last: i32, beyond: i32| {
@@ -244,8 +250,9 @@ fn too_far(
                 continue;
             }
             n += 1;
-            beyond += usize::from(square[1] >= board.rows);
-            most = [0, 1].map(|axis| most[axis].max(square[axis] + 1));
+            // A marker between four corners has a row of squares below it.
+            beyond += usize::from(square[1] + 1 >= board.rows);
+            most = [0, 1].map(|axis| most[axis].max(square[axis] + 2));
         }
     }
     let is_other = beyond >= 2 && 10 * beyond >= n;
@@ -258,11 +265,13 @@ fn other_board(image: &GrayImage, lattices: &[ReadLattice], board: &Board) -> Mi
     if corners < 2 * FEWEST {
         return Missed::NoBoard;
     }
-    if let Some([columns, rows]) = numbered(lattices, board.columns) {
-        let is_other = columns != board.columns || rows > board.rows;
+    if let Some((pattern, [columns, rows])) = numbered(lattices, board.columns) {
+        // Boards with an odd number of rows have no legacy pattern; those that have it end with an even row.
+        let is_of_even = pattern == Pattern::Legacy && board.rows % 2 == 1;
+        let rows = if is_of_even { rows + rows % 2 } else { rows };
+        let is_other = columns != board.columns || rows > board.rows || is_of_even;
         return match is_other {
             true => Missed::OtherSquares { columns: columns as u32, rows: rows as u32 },
-            // As with markers of the legacy pattern on a board that has only the current one.
             false => Missed::Contradiction { corners },
         };
     }
@@ -280,11 +289,11 @@ fn other_board(image: &GrayImage, lattices: &[ReadLattice], board: &Board) -> Mi
     Missed::NoMarkers { corners }
 }
 
-/// Returns the width of board on which the markers of the largest lattice agree, the declared one before others, and how
-/// many rows of it are seen.
-fn numbered(lattices: &[ReadLattice], declared: i32) -> Option<[i32; 2]> {
+/// Returns the width of board on which the markers of the largest lattice agree, the declared one before others, how many
+/// rows of it are seen, and its pattern.
+fn numbered(lattices: &[ReadLattice], declared: i32) -> Option<(Pattern, [i32; 2])> {
     let largest = lattices.iter().max_by_key(|lattice| lattice.readings.len())?;
-    let mut best: Option<(Vote, i32, Pattern)> = None;
+    let mut best: Option<(usize, i32, Pattern)> = None;
     for width in std::iter::once(declared).chain((2..=WIDEST).filter(|width| *width != declared)) {
         for pattern in [Pattern::Current, Pattern::Legacy] {
             let corner_of = |id| {
@@ -292,15 +301,16 @@ fn numbered(lattices: &[ReadLattice], declared: i32) -> Option<[i32; 2]> {
                 Some([square[0] - 1, square[1] - 1])
             };
             let vote = count(&largest.readings, corner_of, upright);
-            let vote = vote.filter(|vote| vote.is_sure() && vote.votes >= 3);
-            if let Some(vote) = vote.filter(|vote| best.is_none_or(|(best, ..)| vote.votes > best.votes)) {
-                best = Some((vote, width, pattern));
+            let votes = vote.filter(Vote::is_sure).map_or(0, |vote| vote.cells.len());
+            if votes >= 3 && best.is_none_or(|(most, ..)| votes > most) {
+                best = Some((votes, width, pattern));
             }
         }
     }
     let (_, columns, pattern) = best?;
     let row = |reading: &Reading| square_of(reading.marker.id, columns, pattern)[1];
-    Some([columns, largest.readings.iter().map(row).max()? + 1])
+    // A marker between four corners has a row of squares below it.
+    Some((pattern, [columns, largest.readings.iter().map(row).max()? + 2]))
 }
 
 #[cfg(test)]

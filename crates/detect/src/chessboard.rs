@@ -4,6 +4,8 @@
 //! A lattice is fitted at full size, completed by prediction, and placed on the board. Nothing is labelled that is not
 //! held in place by what is seen.
 
+use std::borrow::Cow;
+
 use boresight_data::{Geometry, GrayImage, Observation, PointId, Target};
 
 use crate::detection::{Detection, Missed};
@@ -35,15 +37,15 @@ pub(crate) fn detect(image: &GrayImage, target: &Target) -> Detection {
         return Detection::missed(Missed::NoBoard);
     };
     let board = [columns, rows].map(|n| i32::try_from(n).unwrap_or(i32::MAX));
-    let need = columns as usize * rows as usize;
     let planes = Planes::of(image);
     let mut best = Detection::missed(Missed::NoBoard);
+    let mut seen = Grid::default();
     for level in planes.order() {
-        let found = detect_at(image, &planes, level, board);
+        let found = detect_at(image, &planes, level, board, &mut seen);
         if found.is_better_than(&best) {
             best = found;
         }
-        if best.observations.len() == need {
+        if best.observations.len() == count(board) {
             break;
         }
     }
@@ -51,7 +53,15 @@ pub(crate) fn detect(image: &GrayImage, target: &Target) -> Detection {
 }
 
 /// Detects at one scale; the result is the best of all lattices there.
-fn detect_at(image: &GrayImage, planes: &Planes, level: usize, board: [i32; 2]) -> Detection {
+///
+/// `seen` is the largest grid so far: what is part of it is not fitted again.
+fn detect_at(
+    image: &GrayImage,
+    planes: &Planes,
+    level: usize,
+    board: [i32; 2],
+    seen: &mut Grid,
+) -> Detection {
     let scale = f64::from(1u32 << level);
     let smooth = planes.at(image, level).smoothed();
     let [low, high] = smooth.range();
@@ -59,23 +69,40 @@ fn detect_at(image: &GrayImage, planes: &Planes, level: usize, board: [i32; 2]) 
     let saddles = find_saddles(&smooth, least_contrast);
     let mut best = Detection::missed(Missed::NoBoard);
     for lattice in find_lattices(&saddles, &smooth, ASIDE).iter().take(MOST_LATTICES) {
-        if lattice.corners.len() < FEWEST / 2 {
+        let is_small = 2 * lattice.corners.len() < best.observations.len();
+        if lattice.corners.len() < FEWEST / 2 || is_small {
             continue;
         }
         let lattice = at_full_size(lattice, scale);
-        let most = board[0].max(board[1]).saturating_add(2);
-        let Some(grid) = Grid::refined(image, &lattice, most) else { continue };
-        let found = label(&grid, &smooth, scale, board);
+        let found = if seen.covers(&lattice) {
+            label(seen, &smooth, scale, board)
+        } else {
+            let most = board[0].max(board[1]).saturating_add(2);
+            let Some(grid) = Grid::refined(image, &lattice, most) else { continue };
+            let found = label(&grid, &smooth, scale, board);
+            if grid.corners.len() > seen.corners.len() {
+                *seen = grid;
+            }
+            found
+        };
         if found.is_better_than(&best) {
             best = found;
+        }
+        if best.observations.len() == count(board) {
+            break;
         }
     }
     best
 }
 
+/// Returns the number of corners of a board.
+fn count(board: [i32; 2]) -> usize {
+    board[0] as usize * board[1] as usize
+}
+
 /// Returns the labelled corners of a grid, or why it has no labels.
 fn label(grid: &Grid, smooth: &Plane, scale: f64, board: [i32; 2]) -> Detection {
-    if grid.corners.len() < FEWEST.min((board[0] * board[1]) as usize) {
+    if grid.corners.len() < FEWEST.min(count(board)) {
         return Detection::missed(Missed::NoBoard);
     }
     let found = grid.corners.len();
@@ -162,10 +189,10 @@ impl Planes {
         (0..=self.first).rev().chain(self.first + 1..=self.halves.len())
     }
 
-    pub fn at(&self, image: &GrayImage, level: usize) -> Plane {
+    pub fn at(&self, image: &GrayImage, level: usize) -> Cow<'_, Plane> {
         match level.checked_sub(1).and_then(|i| self.halves.get(i)) {
-            Some(plane) => plane.clone(),
-            None => Plane::of(image),
+            Some(plane) => Cow::Borrowed(plane),
+            None => Cow::Owned(Plane::of(image)),
         }
     }
 }

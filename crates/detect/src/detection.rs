@@ -95,13 +95,7 @@ pub enum Missed {
 impl Missed {
     /// Tells whether it says for certain that another board is seen, so that nothing else need be tried.
     pub(crate) fn is_certain(&self) -> bool {
-        matches!(
-            self,
-            Missed::OtherSquares { .. }
-                | Missed::OtherTags { .. }
-                | Missed::OtherDictionary(_)
-                | Missed::Contradiction { .. }
-        )
+        matches!(self, Missed::OtherSquares { .. } | Missed::OtherTags { .. } | Missed::OtherDictionary(_))
     }
 }
 

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use boresight_data::GrayImage;
-use boresight_geometry::nalgebra::{SMatrix, SVector};
 
-use crate::fit::{Fit, Start, fit};
+use crate::fit::{FINE_PX, Fit, ROUGH_PX, Start, fit};
 use crate::lattice::{Lattice, distance};
+use crate::local_map::LocalMap;
 
 /// A corner may move by this share of a step when it is fitted.
 const MOVE_SHARE: f64 = 0.3;
@@ -18,13 +18,15 @@ const RESIDUAL_SHARE: f64 = 0.22;
 const SIGMA_SHARE: f64 = 0.05;
 /// The contrast of a corner may be this share of its neighbours'.
 const CONTRAST_SHARE: f64 = 0.3;
+/// How many steps away neighbours foretell where a corner is.
+const NEAR: i32 = 2;
 /// How far the window of a fit reaches, as a share of a step.
 pub(crate) const REACH: f64 = 0.55;
 /// The four neighbours of a corner.
 pub(crate) const SIDES: [[i32; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
 
 /// Fitted corners by their coordinates.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Grid {
     pub corners: BTreeMap<[i32; 2], Fit>,
     /// Whether the square from (0, 0) to (1, 1) is bright; every other one is.
@@ -47,11 +49,26 @@ impl Grid {
         let corners =
             lattice.corners.iter().map(|(at, corner)| (*at, guess(corner.pixel, corner.contrast))).collect();
         let mut grid = Self { corners, is_bright: lattice.is_bright };
-        grid.refit(image, [0.0; 2]);
+        grid.refit(image, [0.0; 2], ROUGH_PX);
         grid.grow(image, most);
-        grid.refit(image, [1.0; 2]);
+        grid.refit(image, [1.0; 2], FINE_PX);
         grid.prune();
         (grid.corners.len() >= 4).then_some(grid)
+    }
+
+    /// Tells whether all corners of a lattice are corners of this grid, to within a third of a step.
+    pub fn covers(&self, lattice: &Lattice) -> bool {
+        let is_here = |pixel: [f64; 2]| {
+            let near = self.corners.iter().map(|(at, corner)| (distance(corner.pixel, pixel), at));
+            near.min_by(|a, b| a.0.total_cmp(&b.0)).is_some_and(|(away_px, at)| {
+                let here = self.corners[at].pixel;
+                let beside = SIDES.iter().filter_map(|side| self.pixel([at[0] + side[0], at[1] + side[1]]));
+                let step_px = beside.map(|pixel| distance(pixel, here)).fold(f64::INFINITY, f64::min);
+                3.0 * away_px < step_px
+            })
+        };
+        lattice.corners.len() <= self.corners.len()
+            && lattice.corners.values().all(|corner| is_here(corner.pixel))
     }
 
     /// Tells whether the square from a corner to its neighbour along both axes is bright.
@@ -72,11 +89,13 @@ impl Grid {
         })
     }
 
-    /// Fits every corner from where it is; `bending` scales the curvature that neighbours give the edges.
-    fn refit(&mut self, image: &GrayImage, bending: [f64; 2]) {
+    /// Fits every corner from where it is, to within `enough_px`; `bending` scales the curvature that neighbours give
+    /// the edges.
+    fn refit(&mut self, image: &GrayImage, bending: [f64; 2], enough_px: f64) {
         let fitted = self.corners.iter().filter_map(|(at, corner)| {
             let mut start = self.start(*at, corner.pixel, corner.blur_px, bending)?;
             start.before = corner.shape;
+            start.enough_px = enough_px;
             let fit = fit(image, &start)?;
             let step_px = start.steps_px.map(|step| step[0].hypot(step[1]));
             let may_move_px = MOVE_SHARE * step_px[0].min(step_px[1]);
@@ -121,6 +140,7 @@ impl Grid {
             reach: REACH,
             hole: None,
             before: None,
+            enough_px: ROUGH_PX,
         })
     }
 
@@ -189,15 +209,21 @@ impl Grid {
         (n > 0.0).then(|| (sum.map(|s| s / n), blur / n, contrast / n))
     }
 
-    /// Removes corners that are not where the homography of their neighbours puts them, and those without a square.
+    /// Removes corners that are not where their neighbours put them, the worst first, and those without a square.
     fn prune(&mut self) {
+        let misfit = |grid: &Self, at: [i32; 2]| grid.misfit(at).unwrap_or(f64::INFINITY);
+        let mut misfits: BTreeMap<[i32; 2], f64> =
+            self.corners.keys().map(|at| (*at, misfit(self, *at))).collect();
         loop {
-            let misfit = |at: &[i32; 2]| self.misfit(*at).unwrap_or(f64::INFINITY);
-            let worst = self.corners.keys().map(|at| (misfit(at), *at)).max_by(|a, b| a.0.total_cmp(&b.0));
-            match worst {
-                Some((misfit, at)) if misfit > 1.0 => self.corners.remove(&at),
-                _ => return,
-            };
+            let worst = misfits.iter().max_by(|a, b| a.1.total_cmp(b.1)).map(|(at, misfit)| (*at, *misfit));
+            let Some((at, _)) = worst.filter(|(_, misfit)| *misfit > 1.0) else { return };
+            self.corners.remove(&at);
+            misfits.remove(&at);
+            for (other, stale) in &mut misfits {
+                if (0..2).all(|axis| (other[axis] - at[axis]).abs() <= NEAR) {
+                    *stale = misfit(self, *other);
+                }
+            }
         }
     }
 
@@ -206,47 +232,16 @@ impl Grid {
     /// `None` if it has not enough neighbours to tell.
     fn misfit(&self, at: [i32; 2]) -> Option<f64> {
         let corner = self.corners.get(&at)?;
-        let mut normal = SMatrix::<f64, 8, 8>::zeros();
-        let mut gradient = SVector::<f64, 8>::zeros();
-        let (mut n, mut step_px) = (0, f64::INFINITY);
-        let mut sides = [false; 4];
-        for i in -2i32..=2 {
-            for j in -2i32..=2 {
-                let Some(other) = self.pixel([at[0] + i, at[1] + j]).filter(|_| (i, j) != (0, 0)) else {
-                    continue;
-                };
-                let (x, y) = (f64::from(i), f64::from(j));
-                let [u, v] = [0, 1].map(|axis| other[axis] - corner.pixel[axis]);
-                if i.abs() + j.abs() == 1 {
-                    step_px = step_px.min(u.hypot(v));
-                }
-                for (k, is_on) in sides.iter_mut().enumerate() {
-                    *is_on |= i * SIDES[k][0] + j * SIDES[k][1] > 0;
-                }
-                // u (1 + h₇ x + h₈ y) = h₁ + h₂ x + h₃ y, and the same for v; near neighbours count more.
-                let weight = 1.0 / (x * x + y * y);
-                for row in [
-                    (SVector::from([1.0, x, y, 0.0, 0.0, 0.0, -u * x, -u * y]), u),
-                    (SVector::from([0.0, 0.0, 0.0, 1.0, x, y, -v * x, -v * y]), v),
-                ] {
-                    normal += row.0 * row.0.transpose() * weight;
-                    gradient += row.0 * (row.1 * weight);
-                }
-                n += 1;
-            }
-        }
-        if n < 3 || !step_px.is_finite() {
-            return None;
-        }
-        let is_surrounded = sides.iter().all(|is_on| *is_on);
-        // With few neighbours an affine map has to do; the last two unknowns are held near zero.
-        let hold = if n >= 7 { 1e-6 } else { 1e3 } * step_px * step_px;
-        for k in 6..8 {
-            normal[(k, k)] += hold;
-        }
-        let solution = normal.cholesky()?.solve(&gradient);
-        let believed_px = 4.0 * corner.sigma_px + step_px * if is_surrounded { 0.06 } else { 0.15 };
-        Some(solution[0].hypot(solution[3]) / believed_px)
+        let near = |[i, j]: [i32; 2]| {
+            let pixel = self.pixel([at[0] + i, at[1] + j])?;
+            Some(([f64::from(i), f64::from(j)], pixel))
+        };
+        let map =
+            LocalMap::fitted((-NEAR..=NEAR).flat_map(|i| (-NEAR..=NEAR).filter_map(move |j| near([i, j]))))?;
+        let steps = SIDES.iter().filter_map(|side| near(*side));
+        let step_px = steps.map(|(_, pixel)| distance(pixel, corner.pixel)).fold(f64::INFINITY, f64::min);
+        let believed_px = 4.0 * corner.sigma_px + step_px * if map.is_surrounded { 0.06 } else { 0.15 };
+        step_px.is_finite().then(|| distance(map.pixel(), corner.pixel) / believed_px)
     }
 }
 

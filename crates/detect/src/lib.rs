@@ -14,6 +14,7 @@ mod detection;
 mod fit;
 mod grid;
 mod labelled;
+mod lanes;
 mod lattice;
 mod local_map;
 mod marker;

@@ -1,6 +1,11 @@
-//! The homography that maps a drawing to the image near a place.
+//! The map from a drawing to the image near a place: a homography, and how a lens bends it.
 
 use boresight_geometry::nalgebra::{SMatrix, SVector};
+
+/// The unknowns: a homography, and the squares of x and y for u and for v.
+const N: usize = 12;
+/// With so many places around, the bend of a lens can be told too.
+const BENT_FROM: i32 = 14;
 
 /// The map from places relative to a place on a drawing to pixels, fitted to what is known around it.
 #[derive(Clone, Copy, Debug)]
@@ -17,8 +22,8 @@ impl LocalMap {
     ///
     /// `None` if there are fewer than three, or all in a row.
     pub fn fitted(near: impl Iterator<Item = ([f64; 2], [f64; 2])>) -> Option<Self> {
-        let mut normal = SMatrix::<f64, 8, 8>::zeros();
-        let mut gradient = SVector::<f64, 8>::zeros();
+        let mut normal = SMatrix::<f64, N, N>::zeros();
+        let mut gradient = SVector::<f64, N>::zeros();
         let (mut n, mut sides) = (0, [false; 4]);
         let mut origin = None;
         let mut square_px = 0.0;
@@ -27,30 +32,42 @@ impl LocalMap {
             let [u, v] = [0, 1].map(|i| pixel[i] - origin[i]);
             square_px += u * u + v * v;
             sides = [sides[0] || x > 0.0, sides[1] || y > 0.0, sides[2] || x < 0.0, sides[3] || y < 0.0];
-            // u (1 + h₇ x + h₈ y) = h₁ + h₂ x + h₃ y, and the same for v; near neighbours count more.
+            // u (1 + h₇ x + h₈ y) = h₁ + h₂ x + h₃ y + h₉ x² + h₁₀ y², and the same for v; near neighbours count more.
             let weight = 1.0 / (x * x + y * y);
+            let (xx, yy) = (x * x, y * y);
             for row in [
-                (SVector::from([1.0, x, y, 0.0, 0.0, 0.0, -u * x, -u * y]), u),
-                (SVector::from([0.0, 0.0, 0.0, 1.0, x, y, -v * x, -v * y]), v),
+                (SVector::from([1.0, x, y, 0.0, 0.0, 0.0, -u * x, -u * y, xx, yy, 0.0, 0.0]), u),
+                (SVector::from([0.0, 0.0, 0.0, 1.0, x, y, -v * x, -v * y, 0.0, 0.0, xx, yy]), v),
             ] {
-                normal += row.0 * row.0.transpose() * weight;
+                normal += row.0 * (row.0 * weight).transpose();
                 gradient += row.0 * (row.1 * weight);
             }
             n += 1;
         }
         let origin = origin.filter(|_| n >= 3)?;
-        // With few neighbours an affine map has to do; the last two unknowns are held near zero.
-        let hold = if n >= 7 { 1e-6 } else { 1e3 } * (square_px / f64::from(n)).max(1.0);
+        // With few neighbours an affine map has to do; perspective is held near zero. So are bends, but for many.
+        let square_px = (square_px / f64::from(n)).max(1.0);
         for k in 6..8 {
-            normal[(k, k)] += hold;
+            normal[(k, k)] += if n >= 7 { 1e-6 } else { 1e3 } * square_px;
+        }
+        if n < BENT_FROM {
+            for k in 8..N {
+                normal.row_mut(k).fill(0.0);
+                normal.column_mut(k).fill(0.0);
+                normal[(k, k)] = 1.0;
+                gradient[k] = 0.0;
+            }
         }
         // Places in a row determine nothing across it.
         let spread = normal[(1, 1)] * normal[(2, 2)] - normal[(1, 2)].powi(2);
         if spread <= 1e-6 * normal[(1, 1)] * normal[(2, 2)] {
             return None;
         }
+        for k in 8..N {
+            normal[(k, k)] *= 1.0 + 1e-9;
+        }
         let h = normal.cholesky()?.solve(&gradient);
-        Some(Self { h: h.into(), origin, is_surrounded: sides == [true; 4] })
+        Some(Self { h: std::array::from_fn(|i| h[i]), origin, is_surrounded: sides == [true; 4] })
     }
 
     /// Returns the pixel of the place.
@@ -97,6 +114,24 @@ mod tests {
         assert!(near(mapped(1.5, -0.5), image_of([1.5, -0.5])), "{h:?}");
         let steps = map.steps_px(0.5);
         assert!(near(steps[0], [9.0, 0.2]) && near(steps[1], [0.0, 13.7]), "{steps:?}");
+    }
+
+    #[test]
+    fn what_a_lens_bends_is_followed() {
+        // Barrel distortion that moves the ends of five steps by half a step.
+        let bent = |[x, y]: [f64; 2]| {
+            let [u, v] = image_of([x + 3.0, y + 2.0]);
+            let square = (u - 100.0).powi(2) + (v - 80.0).powi(2);
+            [u, v].map(|c| c * (1.0 - 2e-6 * square))
+        };
+        let places = |from: i32| (0..25).map(move |i| [f64::from(i % 5 + from), f64::from(i / 5 - 2)]);
+        let error = |from| {
+            let map = LocalMap::fitted(places(from).map(|at| (at, bent(at)))).unwrap();
+            let truth = bent([0.0; 2]);
+            (map.pixel()[0] - truth[0]).hypot(map.pixel()[1] - truth[1])
+        };
+        // In the middle and at the rim; a step is 20 pixels.
+        assert!(error(-2) < 0.1 && error(0) < 0.6, "{} {}", error(-2), error(0));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Which corner of a board each corner of a lattice is, as the markers in its cells say.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use crate::grid::SIDES;
 use crate::marker::Marker;
@@ -36,11 +36,11 @@ fn along(at: [i32; 2], side: usize) -> i32 {
 }
 
 /// What markers say of a lattice.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Vote {
     pub labelling: Labelling,
-    /// How many markers say so, and how many others say something else.
-    pub votes: usize,
+    /// The cells whose markers say so, and how many markers say something else.
+    pub cells: Vec<[i32; 2]>,
     pub against: usize,
     /// How likely it is that chance alone says so.
     pub chance: f64,
@@ -49,7 +49,13 @@ pub(crate) struct Vote {
 impl Vote {
     /// Tells whether it is beyond doubt.
     pub fn is_sure(&self) -> bool {
-        self.chance < MOST_CHANCE && self.votes > 2 * self.against
+        self.chance < MOST_CHANCE && self.cells.len() > 2 * self.against
+    }
+
+    /// Returns the corners of the cells whose markers agree: those of the board, whatever else is in the lattice.
+    pub fn corners(&self) -> BTreeSet<[i32; 2]> {
+        let around = |[i, j]: &[i32; 2]| [[*i, *j], [i + 1, *j], [*i, j + 1], [i + 1, j + 1]];
+        self.cells.iter().flat_map(around).collect()
     }
 }
 
@@ -62,7 +68,7 @@ pub(crate) fn count(
     corner_of: impl Fn(u32) -> Option<[i32; 2]>,
     sides_of: impl Fn(usize) -> [usize; 2],
 ) -> Option<Vote> {
-    let mut found: BTreeMap<Labelling, (usize, f64)> = BTreeMap::new();
+    let mut found: BTreeMap<Labelling, (Vec<[i32; 2]>, f64)> = BTreeMap::new();
     for Reading { cell, marker } in readings {
         let Some(corner) = corner_of(marker.id) else { continue };
         let sides = sides_of(marker.turn);
@@ -71,14 +77,14 @@ pub(crate) fn count(
             let other = [cell[0] + 1, cell[1] + 1];
             corner[axis] - along(*cell, sides[axis]).min(along(other, sides[axis]))
         });
-        let (votes, chance) = found.entry(Labelling { sides, shift }).or_insert((0, 1.0));
-        *chance *= if *votes == 0 { marker.chance_of_any } else { marker.chance_of_this };
-        *votes += 1;
+        let (cells, chance) = found.entry(Labelling { sides, shift }).or_insert((Vec::new(), 1.0));
+        *chance *= if cells.is_empty() { marker.chance_of_any } else { marker.chance_of_this };
+        cells.push(*cell);
     }
-    let best = found.iter().min_by(|a, b| (a.1.1).total_cmp(&b.1.1).then(a.0.cmp(b.0)))?;
-    let (labelling, (votes, chance)) = (*best.0, *best.1);
-    let against = readings.len() - votes;
-    Some(Vote { labelling, votes, against, chance })
+    let best = found.into_iter().min_by(|a, b| (a.1.1).total_cmp(&b.1.1).then(a.0.cmp(&b.0)))?;
+    let (labelling, (cells, chance)) = best;
+    let against = readings.len() - cells.len();
+    Some(Vote { labelling, cells, against, chance })
 }
 
 #[cfg(test)]
@@ -102,11 +108,13 @@ mod tests {
             reading([2, 1], 77, 0),
         ];
         let vote = count(&readings, corner_of, sides_of).unwrap();
-        assert_eq!((vote.votes, vote.against, vote.is_sure()), (4, 1, true));
+        assert_eq!((vote.cells.len(), vote.against, vote.is_sure()), (4, 1, true));
         // The cell's corner that comes first on the board is its last in the lattice.
         assert_eq!(vote.labelling.label([1, 1]), [3, 1]);
         assert_eq!(vote.labelling.label([0, 0]), [4, 2]);
         assert_eq!(vote.labelling.label([2, 2]), [2, 0]);
+        // The cell that says something else is none of the board's.
+        assert_eq!(vote.corners().into_iter().map(|[i, _]| i).max(), Some(2));
         // One marker of so large a dictionary may be chance; two that contradict each other settle nothing.
         assert!(!count(&readings[..1], corner_of, sides_of).unwrap().is_sure());
         assert!(!count(&[readings[0], readings[4]], corner_of, sides_of).unwrap().is_sure());
