@@ -43,6 +43,15 @@ const OF_INPUT: &[(&str, &str)] = &[
          camera.",
     ),
     (
+        "legacy-charuco",
+        "What it means: the square in the first corner of the ChArUco board is white, as OpenCV before 4.6 drew boards with an\n\
+         even number of rows. The markers told so, and the corners are labelled as on that board.\n\n\
+         Why it matters: here it does not. A program that expects the current pattern, with a dark first square, finds no\n\
+         corners on such a board, or labels them wrongly.\n\n\
+         How to fix it: nothing needs to be done. Tell other programs which pattern it is (setLegacyPattern in OpenCV), or\n\
+         print the board anew.",
+    ),
+    (
         "mixed-image-sizes",
         "What it means: some images of a camera have another size than most. They are left out.\n\n\
          Why it matters: a calibration holds for one size of image. Images of another size were scaled or cropped, or\n\

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use boresight_data::{GrayImage, Target};
-use boresight_detect::{DETECTORS_REVISION, Missed, detect};
+use boresight_detect::{DETECTORS_REVISION, Missed, Pattern, detect};
 use boresight_io::{
     DetectionCache, ImageFile, ImageJob, Job, JobOverrides, SeenImage, image_from_bytes, load_images,
     load_job, load_recordings,
@@ -160,5 +160,6 @@ pub(crate) fn look_up_or_detect<E>(
         observations: detection.observations,
         missed: detection.missed.map(|missed| missed.to_string()),
         other_size,
+        is_legacy: detection.pattern == Some(Pattern::Legacy),
     })
 }

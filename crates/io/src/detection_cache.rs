@@ -14,7 +14,7 @@ use crate::atomic::write_atomically;
 use crate::error::Error;
 
 /// The schema of the file.
-const SCHEMA: &str = "boresight.detections/1";
+const SCHEMA: &str = "boresight.detections/2";
 
 /// What was detected before.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -39,6 +39,7 @@ struct Entry {
     points: Vec<(u32, f64, f64, f64)>,
     missed: Option<String>,
     other_size: Option<[u32; 2]>,
+    is_legacy: bool,
 }
 
 impl DetectionCache {
@@ -90,6 +91,7 @@ impl Entry {
             points: seen.observations.iter().map(point).collect(),
             missed: seen.missed.clone(),
             other_size: seen.other_size,
+            is_legacy: seen.is_legacy,
         }
     }
 
@@ -103,6 +105,7 @@ impl Entry {
             observations: self.points.into_iter().map(observation).collect(),
             missed: self.missed,
             other_size: self.other_size,
+            is_legacy: self.is_legacy,
         }
     }
 }
@@ -121,6 +124,7 @@ mod tests {
             observations: (0..n).map(observation).collect(),
             missed: (n == 0).then(|| "no board is seen".to_owned()),
             other_size: (n == 0).then_some([7, 5]),
+            is_legacy: n > 4,
         }
     }
 

@@ -40,6 +40,8 @@ pub struct SeenImage {
     pub missed: Option<String>,
     /// The size of the board that is seen in place of the target, in inner corners.
     pub other_size: Option<[u32; 2]>,
+    /// Whether it shows a ChArUco board of the legacy pattern, whose first square is white.
+    pub is_legacy: bool,
 }
 
 /// Returns the job of the images among `inputs` (files, folders, patterns), or `None` if there are none.
@@ -135,6 +137,7 @@ pub(crate) fn finish(
     let specs = specs(listed, &views);
     findings.note_sizes(&specs, &mut views);
     findings.note_missed(&views);
+    findings.note_legacy(&views);
     if views.iter().all(|(_, view)| view.observations.is_empty()) {
         return Err(nothing_detected(&head.target, n_images, &views));
     }
@@ -286,6 +289,25 @@ impl Findings<'_> {
         }
     }
 
+    /// Notes which cameras see ChArUco boards of the legacy pattern.
+    fn note_legacy(&mut self, views: &[(SeenImage, SeenView)]) {
+        let mut of_camera: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+        for (_, view) in views.iter().filter(|(seen, _)| seen.is_legacy) {
+            let images = of_camera.entry(view.camera.as_deref().unwrap_or_default()).or_default();
+            images.push(view.image.as_deref().unwrap_or_default());
+        }
+        for (camera, images) in of_camera {
+            let message = format!(
+                "the ChArUco board has the legacy pattern, with a white first square, in {} of its images: {}",
+                images.len(),
+                some_of(&images)
+            );
+            let fix =
+                "nothing needs to be done here; tell other programs, as with setLegacyPattern in OpenCV";
+            self.push("legacy-charuco", Severity::Note, camera, message, images.len(), fix);
+        }
+    }
+
     fn into_findings(mut self) -> Vec<Finding> {
         if let Some(first) = self.without_camera.first() {
             let message = format!(
@@ -332,6 +354,7 @@ mod tests {
             observations,
             missed,
             other_size: None,
+            is_legacy: false,
         })
     }
 
@@ -391,6 +414,16 @@ mod tests {
             codes,
             ["unreadable-image", "mixed-image-sizes", "target-not-detected", "duplicate-images"]
         );
+    }
+
+    #[test]
+    fn a_legacy_pattern_is_named() {
+        let (_folder, images) = job(&["1.png", "2.png", "3.png"], &[]);
+        let legacy = |hash: &str| seen(hash, [64, 48], 6).map(|seen| SeenImage { is_legacy: true, ..seen });
+        let job = images.with_detections(vec![seen("a", [64, 48], 0), legacy("b"), legacy("c")]).unwrap();
+        let finding = job.findings.iter().find(|finding| finding.code == "legacy-charuco").unwrap();
+        assert_eq!((finding.measured, finding.severity), (Some(2.0), Severity::Note));
+        assert!(finding.message.contains("legacy pattern") && finding.message.ends_with("2.png, 3.png"));
     }
 
     #[test]

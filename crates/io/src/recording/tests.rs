@@ -175,6 +175,7 @@ fn loaded(job: RecordingJob) -> Result<crate::Job, Error> {
                     observations: (0..if size[0] > 8 { 6 } else { 0 }).map(observation).collect(),
                     missed: (size[0] <= 8).then(|| "no board is seen".to_owned()),
                     other_size: None,
+                    is_legacy: false,
                 },
             ))
         });
