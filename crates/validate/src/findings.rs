@@ -29,6 +29,7 @@ mod not_separable;
 mod registry;
 mod regularization_pull;
 mod uncertain_focal;
+mod unseen_rim;
 mod weak_rig_link;
 
 use boresight_data::{Calibration, Dataset, Finding, Severity};

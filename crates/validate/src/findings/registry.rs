@@ -44,6 +44,7 @@ diagnostics! {
     super::not_separable::NotSeparable,
     super::regularization_pull::RegularizationPull,
     super::uncertain_focal::UncertainFocal,
+    super::unseen_rim::UnseenRim,
     super::weak_rig_link::WeakRigLink,
 }
 
