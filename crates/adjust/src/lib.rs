@@ -36,7 +36,7 @@ pub use options::{
     AdjustOptions, Hold, Loss, Observer, Prior, Progress, Quantity, Regularization, Rejection, RobotNoise,
     Share,
 };
-pub use pose_fit::{Arm, HandEyeModel, JointModel, PoseFit, PoseFitError, PoseModel, PoseNoise, fit_poses};
+pub use pose_fit::{Arm, HandEyeModel, JointModel, PoseFit, PoseFitError, PoseModel, PoseNoise};
 pub use reprojection::{Layouts, Reprojection, TargetPoints};
 pub use rig_problem::mrcal22_rows;
 pub use robot_noise::{EstimatedNoise, estimate_robot_noise};

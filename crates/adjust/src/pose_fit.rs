@@ -16,6 +16,7 @@ use boresight_geometry::{Matrix6, Pose, Vector6, left_jacobian_inverse, skew};
 
 pub use hand_eye::{Arm, HandEyeModel};
 pub use joints::JointModel;
+use noise::NoiseSearch;
 pub use noise::PoseNoise;
 
 /// What predicts where a camera sees a target.
@@ -26,8 +27,8 @@ pub trait PoseModel: Clone {
     /// Returns `rig_from_target` of a row; `None` for a row of which the model tells nothing.
     fn pose(&self, row: usize) -> Option<Pose>;
 
-    /// Returns the same, and the derivative of its left tangent by the unknowns.
-    fn predicted(&self, row: usize) -> Option<(Pose, Matrix6xX<f64>)>;
+    /// Returns the same, and writes the derivative of its left tangent by the unknowns, a column for each.
+    fn predicted(&self, row: usize, by_unknowns: &mut Matrix6xX<f64>) -> Option<Pose>;
 
     /// Returns the model moved by a step of its unknowns.
     fn moved(&self, step: &DVector<f64>) -> Self;
@@ -79,11 +80,7 @@ const MAX_STEPS: usize = 20;
 const SETTLED_SIGMAS: f64 = 1e-4;
 
 /// Fits a model to the poses that were seen, from a start nearby. Rows of one block stand together.
-///
-/// # Panics
-///
-/// If there are not as many blocks named as poses seen.
-pub fn fit_poses<M: PoseModel>(
+fn fit_poses<M: PoseModel>(
     start: M,
     seen: &[Pose],
     block_of_row: &[usize],
@@ -97,12 +94,13 @@ pub fn fit_poses<M: PoseModel>(
     // Six numbers of a row, less what the unknowns take from each.
     let redundancy = 1.0 - start.columns() as f64 / (6 * all.len()) as f64;
     let mut model = start;
-    let mut noise = PoseNoise::of(&residuals_of(&model, seen, &all), redundancy);
+    let mut search = NoiseSearch::default();
+    let mut noise = search.noise(&residuals_of(&model, seen, &all), redundancy);
     let mut is_converged = false;
     for _ in 0..MAX_ROUNDS {
         let (next, moved) = descended(&model, seen, &all, &noise)?;
         model = next;
-        let next = PoseNoise::of(&residuals_of(&model, seen, &all), redundancy);
+        let next = search.noise(&residuals_of(&model, seen, &all), redundancy);
         let changed = noise.changed(&next);
         noise = next;
         if moved < 1e-2 && changed < 1e-3 {
@@ -151,9 +149,14 @@ fn difference(predicted: &Pose, seen: &Pose) -> Vector6<f64> {
     Vector6::new(turn.x, turn.y, turn.z, off.x, off.y, off.z)
 }
 
-/// Returns a row's residual, and its derivative by the unknowns.
-fn residual<M: PoseModel>(model: &M, seen: &[Pose], row: usize) -> Option<(Vector6<f64>, Matrix6xX<f64>)> {
-    let (predicted, by_unknowns) = model.predicted(row)?;
+/// Returns a row's residual, and writes its derivative by the unknowns.
+fn residual<M: PoseModel>(
+    model: &M,
+    seen: &[Pose],
+    row: usize,
+    by_unknowns: &mut Matrix6xX<f64>,
+) -> Option<Vector6<f64>> {
+    let predicted = model.predicted(row, by_unknowns)?;
     let residual = difference(&predicted, &seen[row]);
     let rotation = residual.fixed_rows::<3>(0).into_owned();
     // A left perturbation (w, v) turns by w and moves the translation by w × t + v.
@@ -161,7 +164,11 @@ fn residual<M: PoseModel>(model: &M, seen: &[Pose], row: usize) -> Option<(Vecto
     by_tangent.fixed_view_mut::<3, 3>(0, 0).copy_from(&left_jacobian_inverse(&rotation));
     by_tangent.fixed_view_mut::<3, 3>(3, 0).copy_from(&-skew(&predicted.translation));
     by_tangent.fixed_view_mut::<3, 3>(3, 3).fill_with_identity();
-    Some((residual, by_tangent * by_unknowns))
+    for mut column in by_unknowns.column_iter_mut() {
+        let moved = by_tangent * &column;
+        column.copy_from(&moved);
+    }
+    Some(residual)
 }
 
 fn residuals_of<M: PoseModel>(model: &M, seen: &[Pose], rows: &[usize]) -> Vec<Vector6<f64>> {
@@ -213,16 +220,23 @@ fn searched<M: PoseModel>(
     let mut damping = 1e-6;
     let mut present = cost(&model, seen, rows, noise);
     let mut normal = DMatrix::zeros(n, n);
+    let mut gradient = DVector::zeros(n);
+    let mut jacobian = Matrix6xX::zeros(n);
     for _ in 0..MAX_STEPS {
         normal.fill(0.0);
-        let mut gradient = DVector::zeros(n);
+        gradient.fill(0.0);
         for &row in rows {
-            let Some((residual, jacobian)) = residual(&model, seen, row) else { continue };
-            let factor = noise.weight(noise.square(&residual));
-            let weighted = jacobian.tr_mul(&(weight * factor));
-            normal += &weighted * &jacobian;
-            gradient += weighted * residual;
+            let Some(residual) = residual(&model, seen, row, &mut jacobian) else { continue };
+            let weight = weight * noise.weight(noise.square(&residual));
+            for a in 0..n {
+                let weighted = weight * jacobian.column(a);
+                gradient[a] += weighted.dot(&residual);
+                for b in a..n {
+                    normal[(b, a)] += weighted.dot(&jacobian.column(b));
+                }
+            }
         }
+        normal.fill_upper_triangle_with_lower_triangle();
         let diagonal = normal.diagonal();
         if !diagonal.iter().all(|entry| *entry > 0.0) {
             return Err(PoseFitError::Open);

@@ -49,20 +49,31 @@ impl PoseStream {
     /// Returns the pose at a time: the rotation along the shortest arc between its neighbours, the translation
     /// along the line. `None` before the first sample, after the last, and in gaps.
     pub fn at(&self, time_s: f64) -> Option<Pose> {
-        let next = self.times_s.partition_point(|sample| *sample < time_s);
-        if self.times_s.get(next) == Some(&time_s) {
-            return Some(self.poses[next]);
+        let (before, after, share) = self.between(time_s)?;
+        if share == 1.0 {
+            return Some(self.poses[after]);
         }
-        let (before, after) = (next.checked_sub(1)?, next);
-        let (begin, end) = (*self.times_s.get(before)?, *self.times_s.get(after)?);
-        if end - begin > self.longest_gap_s {
-            return None;
-        }
-        let share = (time_s - begin) / (end - begin);
         let (one, other) = (&self.poses[before], &self.poses[after]);
         let turn = Pose::new(other.rotation * one.rotation.inverse(), other.translation).rodrigues() * share;
         let turned = Pose::from_rodrigues(turn, one.translation).rotation * one.rotation;
         Some(Pose::new(turned, one.translation + (other.translation - one.translation) * share))
+    }
+
+    /// Returns the samples about a time and how far it is from the first to the second; `None` where no pose is.
+    fn between(&self, time_s: f64) -> Option<(usize, usize, f64)> {
+        let next = self.times_s.partition_point(|sample| *sample < time_s);
+        if self.times_s.get(next) == Some(&time_s) {
+            return Some((next, next, 1.0));
+        }
+        let before = next.checked_sub(1)?;
+        let (begin, end) = (*self.times_s.get(before)?, *self.times_s.get(next)?);
+        (end - begin <= self.longest_gap_s).then(|| (before, next, (time_s - begin) / (end - begin)))
+    }
+
+    /// Tells whether there is a [`twist`](Self::twist) at a time, without working it out.
+    pub fn has_twist(&self, time_s: f64) -> bool {
+        let half = 0.5 * self.median_interval_s();
+        self.between(time_s - half).is_some() && self.between(time_s + half).is_some()
     }
 
     /// Returns the twist at a time: the tangent `[rotation, translation]` per second by which the pose moves,
@@ -93,6 +104,9 @@ mod tests {
         assert!((between * moving(0.34).inverse()).log().norm() < 2e-4, "{between:?}");
         for time in [-0.1, 2.0, 5.2, f64::NAN] {
             assert_eq!(stream.at(time), None, "{time}");
+        }
+        for time in [-0.1, 0.0, 0.04, 0.06, 0.25, 0.34, 0.36, 0.41, 2.0, 5.05, f64::NAN] {
+            assert_eq!(stream.has_twist(time), stream.twist(time).is_some(), "{time}");
         }
         let twist = stream.twist(0.25).unwrap();
         let step = 1e-6;

@@ -4,7 +4,7 @@ use boresight_data::Mounting;
 use boresight_geometry::nalgebra::{DVector, Matrix6xX};
 use boresight_geometry::{Pose, PoseStream, Vector6};
 
-use super::PoseModel;
+use super::{PoseFit, PoseFitError, PoseModel, fit_poses};
 
 /// What a robot said of its flange.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,13 +36,33 @@ pub struct HandEyeModel {
 }
 
 impl HandEyeModel {
-    /// Returns `base_from_flange` of a row, and its twist per second where it moves.
-    fn told(&self, row: usize) -> Option<(Pose, Option<Vector6<f64>>)> {
+    /// Returns where rig and target sit and the offset of the clocks, fitted to the poses that were seen, from this start nearby.
+    /// Rows of one block stand together.
+    ///
+    /// # Panics
+    ///
+    /// If there are not as many blocks named as poses seen.
+    pub fn fitted(self, seen: &[Pose], block_of_row: &[usize]) -> Result<PoseFit<Self>, PoseFitError> {
+        fit_poses(self, seen, block_of_row)
+    }
+
+    /// Returns `base_from_flange` of a row; `None` where nothing tells of it or of how it moves.
+    fn told(&self, row: usize) -> Option<Pose> {
         match &self.arm {
-            Arm::Rows(poses) => Some((*poses.get(row)?, None)),
+            Arm::Rows(poses) => poses.get(row).copied(),
             Arm::Stream { base_from_flange, times_s } => {
                 let time_s = times_s.get(row)? + self.offset_s;
-                Some((base_from_flange.at(time_s)?, Some(base_from_flange.twist(time_s)?)))
+                base_from_flange.has_twist(time_s).then(|| base_from_flange.at(time_s))?
+            }
+        }
+    }
+
+    /// Returns the twist per second of a row; `None` where robots stand.
+    fn twist(&self, row: usize) -> Option<Vector6<f64>> {
+        match &self.arm {
+            Arm::Rows(_) => None,
+            Arm::Stream { base_from_flange, times_s } => {
+                base_from_flange.twist(times_s.get(row)? + self.offset_s)
             }
         }
     }
@@ -57,7 +77,7 @@ impl PoseModel for HandEyeModel {
     }
 
     fn pose(&self, row: usize) -> Option<Pose> {
-        let (base_from_flange, _) = self.told(row)?;
+        let base_from_flange = self.told(row)?;
         let carrier_from_other = match self.mounting {
             Mounting::RigOnFlange => base_from_flange.inverse(),
             Mounting::RigInBase => base_from_flange,
@@ -65,18 +85,17 @@ impl PoseModel for HandEyeModel {
         Some(self.carrier_from_rig.inverse() * carrier_from_other * self.other_from_target)
     }
 
-    fn predicted(&self, row: usize) -> Option<(Pose, Matrix6xX<f64>)> {
-        let (base_from_flange, twist) = self.told(row)?;
+    fn predicted(&self, row: usize, by_unknowns: &mut Matrix6xX<f64>) -> Option<Pose> {
+        let base_from_flange = self.told(row)?;
         let carrier_from_other = match self.mounting {
             Mounting::RigOnFlange => base_from_flange.inverse(),
             Mounting::RigInBase => base_from_flange,
         };
         let rig_from_carrier = self.carrier_from_rig.inverse();
         let rig_from_other = rig_from_carrier * carrier_from_other;
-        let mut by_unknowns = Matrix6xX::zeros(self.columns());
         by_unknowns.view_mut((0, 0), (6, 6)).copy_from(&-rig_from_carrier.adjoint());
         by_unknowns.view_mut((0, 6), (6, 6)).copy_from(&rig_from_other.adjoint());
-        if let Some(twist) = twist {
+        if let Some(twist) = self.twist(row) {
             // The flange moves in the base by the twist, the base in the flange's frame by its opposite.
             let column = match self.mounting {
                 Mounting::RigOnFlange => -(rig_from_other.adjoint() * twist),
@@ -84,7 +103,7 @@ impl PoseModel for HandEyeModel {
             };
             by_unknowns.view_mut((0, 12), (6, 1)).copy_from(&column);
         }
-        Some((rig_from_other * self.other_from_target, by_unknowns))
+        Some(rig_from_other * self.other_from_target)
     }
 
     fn moved(&self, step: &DVector<f64>) -> Self {

@@ -7,7 +7,7 @@
 use boresight_geometry::nalgebra::{DVector, Matrix6xX};
 use boresight_geometry::{Matrix6, Pose, Vector3, Vector6};
 
-use super::PoseModel;
+use super::{PoseFit, PoseFitError, PoseModel, fit_poses};
 
 /// A chain of turning joints.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,6 +24,18 @@ pub struct JointModel {
 /// The unknowns of a line: turns about the frame's x and y, and shifts along them.
 const OF_LINE: [usize; 4] = [0, 1, 3, 4];
 
+impl JointModel {
+    /// Returns the lines of the joints and where the target is, fitted to the poses that were seen, from this start nearby.
+    /// Rows of one block stand together.
+    ///
+    /// # Panics
+    ///
+    /// If there are not as many blocks named as poses seen.
+    pub fn fitted(self, seen: &[Pose], block_of_row: &[usize]) -> Result<PoseFit<Self>, PoseFitError> {
+        fit_poses(self, seen, block_of_row)
+    }
+}
+
 impl PoseModel for JointModel {
     fn columns(&self) -> usize {
         OF_LINE.len() * self.rig_from_joint.len() + 6
@@ -38,9 +50,8 @@ impl PoseModel for JointModel {
         Some(before * self.rig_from_target)
     }
 
-    fn predicted(&self, row: usize) -> Option<(Pose, Matrix6xX<f64>)> {
+    fn predicted(&self, row: usize, by_unknowns: &mut Matrix6xX<f64>) -> Option<Pose> {
         let angles = self.angles_rad.get(row)?;
-        let mut by_unknowns = Matrix6xX::zeros(self.columns());
         let mut before = Pose::identity();
         for (joint, (rig_from_joint, angle)) in self.rig_from_joint.iter().zip(angles).enumerate() {
             let turn = Pose::from_rodrigues(Vector3::z() * *angle, Vector3::zeros());
@@ -54,7 +65,7 @@ impl PoseModel for JointModel {
         }
         let last = OF_LINE.len() * self.rig_from_joint.len();
         by_unknowns.view_mut((0, last), (6, 6)).copy_from(&before.adjoint());
-        Some((before * self.rig_from_target, by_unknowns))
+        Some(before * self.rig_from_target)
     }
 
     fn moved(&self, step: &DVector<f64>) -> Self {

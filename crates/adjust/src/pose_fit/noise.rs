@@ -15,34 +15,80 @@ pub struct PoseNoise {
 /// The choices of degrees of freedom.
 const CHOICES: [f64; 7] = [2.0, 3.0, 5.0, 8.0, 15.0, 40.0, f64::INFINITY];
 const MAX_ROUNDS: usize = 200;
+/// Rounds end when no sigma changes by more than this share any more.
+const SETTLED_BELOW: f64 = 1e-5;
 /// Variances below which a component counts as exact: 1e-9 radians, 1e-9 m.
 const LEAST_VARIANCE: f64 = 1e-18;
 
-impl PoseNoise {
+/// Finds the most likely noise of residuals again and again, each time from where it was last.
+///
+/// The most likely scale is where a convex function ends (Kent & Tyler 1991), so that the start does not matter, but
+/// saves rounds; and of the choices of degrees of freedom only the neighbours of the last one are looked at, as long
+/// as these are no better.
+#[derive(Clone, Debug, Default)]
+pub(super) struct NoiseSearch {
+    /// The noise that was found last for each choice.
+    known: [Option<PoseNoise>; CHOICES.len()],
+    best: Option<usize>,
+}
+
+impl NoiseSearch {
     /// Returns the most likely noise of residuals, whose squares fits have made smaller by `redundancy`.
-    pub(super) fn of(residuals: &[Vector6<f64>], redundancy: f64) -> Self {
-        let start = Self::spread(residuals);
-        let found = CHOICES.map(|degrees_of_freedom| {
-            let mut noise = Self::new(start, degrees_of_freedom);
-            for _ in 0..MAX_ROUNDS {
-                // Expectation and maximisation: rows that are far off count less.
-                let mut sum = Matrix6::zeros();
-                for residual in residuals {
-                    sum += residual * residual.transpose() * noise.weight(noise.square(residual));
-                }
-                let next = Self::new(sum / (residuals.len() as f64 * redundancy), degrees_of_freedom);
-                let changed = noise.changed(&next);
-                noise = next;
-                if changed < 1e-5 {
-                    break;
+    pub(super) fn noise(&mut self, residuals: &[Vector6<f64>], redundancy: f64) -> PoseNoise {
+        let mut costs: [Option<f64>; CHOICES.len()] = [None; CHOICES.len()];
+        let mut best = self.best;
+        loop {
+            let near =
+                best.map_or(0..CHOICES.len(), |best| best.saturating_sub(1)..(best + 2).min(CHOICES.len()));
+            for choice in near {
+                if costs[choice].is_none() {
+                    let found = self.settled(choice, residuals, redundancy);
+                    costs[choice] = Some(found.likelihood_cost(residuals));
+                    self.known[choice] = Some(found);
                 }
             }
-            (noise.likelihood_cost(residuals), noise)
-        });
-        let best = found.into_iter().min_by(|one, other| one.0.total_cmp(&other.0));
-        best.map_or_else(|| Self::new(start, f64::INFINITY), |(_, noise)| noise)
+            let cost = |choice: &usize| costs[*choice].unwrap_or(f64::INFINITY);
+            let least = (0..CHOICES.len()).min_by(|one, other| cost(one).total_cmp(&cost(other)));
+            if least == best {
+                break;
+            }
+            best = least;
+        }
+        self.best = best;
+        let found = best.and_then(|best| self.known[best]);
+        found.unwrap_or_else(|| PoseNoise::new(PoseNoise::spread(residuals), f64::INFINITY))
     }
 
+    /// Returns the noise of one choice, from what was found for it last, or for its neighbour.
+    fn settled(&self, choice: usize, residuals: &[Vector6<f64>], redundancy: f64) -> PoseNoise {
+        let degrees_of_freedom = CHOICES[choice];
+        let near = self.known[choice].or_else(|| self.known[choice.checked_sub(1)?]);
+        let start = near.map_or_else(|| PoseNoise::spread(residuals), |near| near.scale);
+        let mut noise = PoseNoise::new(start, degrees_of_freedom);
+        // What the weights add up to where the scale fits: all of six numbers a row, less what fits have taken.
+        let share = (1.0 + 6.0 * (1.0 - redundancy) / degrees_of_freedom) / redundancy;
+        for _ in 0..MAX_ROUNDS {
+            // Expectation and maximisation with the parameter that speeds it (Liu, Rubin & Wu 1998): rows that are
+            // far off count less, and the sum is divided by the weights rather than by the number of rows. The error
+            // shrinks by 2 / (degrees + 8) in a round, where the plain way's shrinks by 8 / (degrees + 8).
+            let (mut sum, mut weights) = (Matrix6::zeros(), 0.0);
+            for residual in residuals {
+                let weight = noise.weight(noise.square(residual));
+                sum += residual * (residual * weight).transpose();
+                weights += weight;
+            }
+            let next = PoseNoise::new(sum * (share / weights), degrees_of_freedom);
+            let changed = noise.changed(&next);
+            noise = next;
+            if changed < SETTLED_BELOW || degrees_of_freedom.is_infinite() {
+                break;
+            }
+        }
+        noise
+    }
+}
+
+impl PoseNoise {
     fn new(scale: Matrix6<f64>, degrees_of_freedom: f64) -> Self {
         let mut scale = scale;
         for i in 0..6 {

@@ -60,12 +60,14 @@ fn joints() -> JointModel {
 
 /// Derivatives against differences, for each unknown.
 fn check_derivatives<M: PoseModel>(model: &M, row: usize) {
-    let (at, by_unknowns) = model.predicted(row).unwrap();
+    let mut by_unknowns = Matrix6xX::zeros(model.columns());
+    let at = model.predicted(row, &mut by_unknowns).unwrap();
+    assert_eq!(model.pose(row), Some(at));
     for column in 0..model.columns() {
         let step = |size: f64| {
             let mut step = DVector::zeros(model.columns());
             step[column] = size;
-            (model.moved(&step).predicted(row).unwrap().0 * at.inverse()).log()
+            (model.moved(&step).pose(row).unwrap() * at.inverse()).log()
         };
         let size = 1e-5;
         let slope = (step(size) - step(-size)) / (2.0 * size);
@@ -90,9 +92,7 @@ fn derivatives_match_differences() {
 /// What the model sees, with noise.
 fn seen<M: PoseModel>(model: &M, rows: usize, sigmas: [f64; 2], normals: &mut Normals) -> Vec<Pose> {
     (0..rows)
-        .map(|row| {
-            model.predicted(row).map_or_else(Pose::identity, |(pose, _)| noisy(&pose, sigmas, normals))
-        })
+        .map(|row| model.pose(row).map_or_else(Pose::identity, |pose| noisy(&pose, sigmas, normals)))
         .collect()
 }
 
@@ -117,7 +117,7 @@ fn exact_poses_give_the_truth() {
     let poses = seen(&truth, 120, [0.0; 2], &mut Normals::new(1));
     let found = fit_poses(off(&truth, 0.05), &poses, &blocks(120, 12)).unwrap();
     for (row, pose) in poses.iter().enumerate() {
-        let error = (found.model.predicted(row).unwrap().0 * pose.inverse()).log().norm();
+        let error = (found.model.pose(row).unwrap() * pose.inverse()).log().norm();
         assert!(error < 1e-6, "{row}: {error}");
     }
 }

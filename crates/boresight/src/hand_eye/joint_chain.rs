@@ -1,6 +1,6 @@
 //! A positioner's kinematics: the lines about which its joints turn, from sights of a target on it.
 
-use boresight_adjust::{JointModel, PoseFit, PoseModel as _, PoseNoise, fit_poses};
+use boresight_adjust::{JointModel, PoseFit, PoseModel as _, PoseNoise};
 use boresight_data::{Finding, Severity};
 use boresight_geometry::nalgebra::{DMatrix, DVector};
 use boresight_geometry::{Pose, Vector3};
@@ -79,7 +79,7 @@ pub fn joint_chain(readings_rad: &[Vec<f64>], sights: &[TimedPose]) -> Result<Jo
         rig_from_target: seen[start.reference],
     };
     let blocks: Vec<usize> = (0..seen.len()).collect();
-    let fit = fit_poses(model, &seen, &blocks)?;
+    let fit = model.fitted(&seen, &blocks)?;
     let far = fit.sigmas.iter().flatten().filter(|sigmas| **sigmas > FAR_SIGMAS).count();
     let mut findings: Vec<Finding> = of_far(far, seen.len()).into_iter().collect();
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));

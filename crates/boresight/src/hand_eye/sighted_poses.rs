@@ -4,7 +4,7 @@
 //! rows give the start. Rig, target and the clocks' offset are then fitted together, with noise of the sights
 //! that is estimated from what is left over; blocks of rows that are left out tell how good all of it is.
 
-use boresight_adjust::{Arm, HandEyeModel, PoseFit, PoseModel as _, PoseNoise, fit_poses};
+use boresight_adjust::{Arm, HandEyeModel, PoseFit, PoseModel as _, PoseNoise};
 use boresight_data::{Finding, Mounting, Severity};
 use boresight_geometry::{Pose, PoseStream, Vector3, Vector6};
 use boresight_io::{RobotAxes, TimedPose};
@@ -139,7 +139,7 @@ pub fn hand_eye_of_poses(
         offset_s,
     };
     let blocks = blocks(&model);
-    let fit = fit_poses(model, &seen, &blocks)?;
+    let fit = model.fitted(&seen, &blocks)?;
     let clock = matched.map(|matched| ClockPair {
         offset_s: fit.model.offset_s,
         sigma_s: fit.covariance[(12, 12)].sqrt(),
@@ -359,7 +359,7 @@ fn of_clock(clock: &ClockPair, fit: &PoseFit<HandEyeModel>, seen: &[Pose]) -> Ve
         ));
     }
     let Arm::Stream { base_from_flange, times_s } = &fit.model.arm else { return findings };
-    let rows: Vec<usize> = (0..seen.len()).filter(|&row| fit.model.predicted(row).is_some()).collect();
+    let rows: Vec<usize> = (0..seen.len()).filter(|&row| fit.model.pose(row).is_some()).collect();
     let (early, late) = rows.split_at(rows.len() / 2);
     let [early, late] = [early, late].map(|half| {
         let arm = Arm::Stream {
@@ -368,7 +368,7 @@ fn of_clock(clock: &ClockPair, fit: &PoseFit<HandEyeModel>, seen: &[Pose]) -> Ve
         };
         let poses: Vec<Pose> = half.iter().map(|&row| seen[row]).collect();
         let blocks: Vec<usize> = (0..half.len()).map(|row| row * BLOCKS / 2 / half.len()).collect();
-        let half = fit_poses(HandEyeModel { arm, ..fit.model.clone() }, &poses, &blocks).ok()?;
+        let half = HandEyeModel { arm, ..fit.model.clone() }.fitted(&poses, &blocks).ok()?;
         Some((half.model.offset_s, half.covariance[(12, 12)]))
     });
     if let (Some((early_s, early_variance)), Some((late_s, late_variance))) = (early, late) {
