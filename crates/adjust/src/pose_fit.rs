@@ -11,8 +11,10 @@ mod hand_eye;
 mod joints;
 mod noise;
 
+use std::collections::BTreeMap;
+
 use boresight_geometry::nalgebra::{DMatrix, DVector, Matrix6xX};
-use boresight_geometry::{Matrix6, Pose, Vector6, left_jacobian_inverse, skew};
+use boresight_geometry::{Pose, Vector6};
 
 pub use hand_eye::{Arm, HandEyeModel};
 pub use joints::JointModel;
@@ -41,14 +43,14 @@ pub struct PoseFit<M> {
     pub model: M,
     /// The noise of the poses that were seen.
     pub noise: PoseNoise,
-    /// For each row, seen less predicted: the rotation vector of what is left, and the difference of
+    /// For each row, predicted less seen: the rotation vector of what is left, and the difference of
     /// positions, in the camera's frame; `None` where the model predicts nothing.
     pub residuals: Vec<Option<Vector6<f64>>>,
     /// For each row, how many sigmas it is off: the root of the residual's square in units of the covariance.
     pub sigmas: Vec<Option<f64>>,
     /// The same residuals when the row's block is left out of the fit.
     pub held_out: Vec<Option<Vector6<f64>>>,
-    /// The covariance of the unknowns, by the scatter of the fits without one block each.
+    /// The covariance of the unknowns, by the scatter of the fits without one block each; NaN of fewer than two.
     pub covariance: DMatrix<f64>,
     /// The number of blocks.
     pub blocks: usize,
@@ -95,46 +97,77 @@ fn fit_poses<M: PoseModel>(
     let redundancy = 1.0 - start.columns() as f64 / (6 * all.len()) as f64;
     let mut model = start;
     let mut search = NoiseSearch::default();
-    let mut noise = search.noise(&residuals_of(&model, seen, &all), redundancy);
+    let mut noise = search.of_all_choices(&residuals_of(&model, seen, &all), redundancy);
     let mut is_converged = false;
     for _ in 0..MAX_ROUNDS {
-        let (next, moved) = descended(&model, seen, &all, &noise)?;
-        model = next;
-        let next = search.noise(&residuals_of(&model, seen, &all), redundancy);
-        let changed = noise.changed(&next);
+        let found = searched(&model, seen, &all, &noise)?;
+        let moved = found.length();
+        model = found.model;
+        let residuals = residuals_of(&model, seen, &all);
+        let mut next = search.of_near_choices(&residuals, redundancy);
+        if moved < 1e-2 && noise.changed(&next) < 1e-3 {
+            // Another choice may have become better than all near the last one.
+            next = search.of_all_choices(&residuals, redundancy);
+            is_converged = noise.changed(&next) < 1e-3;
+        }
         noise = next;
-        if moved < 1e-2 && changed < 1e-3 {
-            is_converged = true;
+        if is_converged {
             break;
         }
     }
     let residuals: Vec<Option<Vector6<f64>>> = (0..seen.len()).map(|row| missed(&model, seen, row)).collect();
     let sigmas = residuals.iter().map(|residual| residual.map(|r| noise.square(&r).sqrt())).collect();
-    let mut held_out = vec![None; seen.len()];
-    let mut names: Vec<usize> = all.iter().map(|&row| block_of_row[row]).collect();
-    names.dedup();
-    names.sort_unstable();
-    names.dedup();
-    let n = model.columns();
-    let mut moves: Vec<DVector<f64>> = Vec::new();
-    for &name in &names {
-        let (own, others): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&row| block_of_row[row] == name);
-        let Ok((without, total)) = refitted(&model, seen, &others, &noise) else { continue };
-        for row in own {
-            held_out[row] = missed(&without, seen, row);
-        }
-        moves.push(total);
+    let left_out = without_blocks(&model, seen, &all, block_of_row, &noise);
+    let (blocks, held_out, covariance) = (left_out.blocks, left_out.held_out, left_out.covariance);
+    Ok(PoseFit { model, noise, residuals, sigmas, held_out, covariance, blocks, is_converged })
+}
+
+/// What fits without one block each tell.
+struct LeftOut {
+    blocks: usize,
+    held_out: Vec<Option<Vector6<f64>>>,
+    covariance: DMatrix<f64>,
+}
+
+/// Fits the model without one block after another, each from a Newton step ahead of the optimum.
+fn without_blocks<M: PoseModel>(
+    model: &M,
+    seen: &[Pose],
+    all: &[usize],
+    block_of_row: &[usize],
+    noise: &PoseNoise,
+) -> LeftOut {
+    let mut rows_of_block: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for &row in all {
+        rows_of_block.entry(block_of_row[row]).or_default().push(row);
     }
-    // Efron & Stein 1981: (B - 1) / B times the sum of squares.
+    let n = model.columns();
+    let mut held_out = vec![None; seen.len()];
+    let mut moves: Vec<DVector<f64>> = Vec::new();
+    let mut sums = Sums::zeros(n);
+    sums.add(model, seen, all, noise);
+    let mut of_block = Sums::zeros(n);
+    for (&name, own) in &rows_of_block {
+        of_block.clear();
+        of_block.add(model, seen, own, noise);
+        let (normal, gradient) = (&sums.normal - &of_block.normal, &sums.gradient - &of_block.gradient);
+        let ahead = normal.cholesky().map_or_else(|| DVector::zeros(n), |factor| -factor.solve(&gradient));
+        let others: Vec<usize> = all.iter().copied().filter(|&row| block_of_row[row] != name).collect();
+        let Ok(without) = searched(&model.moved(&ahead), seen, &others, noise) else { continue };
+        for &row in own {
+            held_out[row] = missed(&without.model, seen, row);
+        }
+        moves.push(without.total + ahead);
+    }
     let count = moves.len() as f64;
+    let mut covariance = DMatrix::from_element(n, n, if moves.len() < 2 { f64::NAN } else { 0.0 });
+    // Efron & Stein 1981: (B - 1) / B times the sum of squares.
     let mean = moves.iter().fold(DVector::zeros(n), |sum, moved| sum + moved) / count.max(1.0);
-    let mut covariance = DMatrix::zeros(n, n);
     for moved in &moves {
         let off = moved - &mean;
         covariance += &off * off.transpose() * ((count - 1.0) / count);
     }
-    let blocks = moves.len();
-    Ok(PoseFit { model, noise, residuals, sigmas, held_out, covariance, blocks, is_converged })
+    LeftOut { blocks: moves.len(), held_out, covariance }
 }
 
 /// Returns a row's residual.
@@ -158,12 +191,8 @@ fn residual<M: PoseModel>(
 ) -> Option<Vector6<f64>> {
     let predicted = model.predicted(row, by_unknowns)?;
     let residual = difference(&predicted, &seen[row]);
-    let rotation = residual.fixed_rows::<3>(0).into_owned();
-    // A left perturbation (w, v) turns by w and moves the translation by w × t + v.
-    let mut by_tangent = Matrix6::<f64>::zeros();
-    by_tangent.fixed_view_mut::<3, 3>(0, 0).copy_from(&left_jacobian_inverse(&rotation));
-    by_tangent.fixed_view_mut::<3, 3>(3, 0).copy_from(&-skew(&predicted.translation));
-    by_tangent.fixed_view_mut::<3, 3>(3, 3).fill_with_identity();
+    let turn = predicted.rotation * seen[row].rotation.inverse();
+    let by_tangent = Pose::new(turn, predicted.translation).rodrigues_by_tangent();
     for mut column in by_unknowns.column_iter_mut() {
         let moved = by_tangent * &column;
         column.copy_from(&moved);
@@ -175,82 +204,107 @@ fn residuals_of<M: PoseModel>(model: &M, seen: &[Pose], rows: &[usize]) -> Vec<V
     rows.iter().filter_map(|&row| missed(model, seen, row)).collect()
 }
 
-/// Returns the negative logarithm of the likelihood of rows, up to what does not depend on the model.
-fn cost<M: PoseModel>(model: &M, seen: &[Pose], rows: &[usize], noise: &PoseNoise) -> f64 {
+/// Returns the negative logarithm of the likelihood of each row, up to what does not depend on the model.
+fn costs<M: PoseModel>(model: &M, seen: &[Pose], rows: &[usize], noise: &PoseNoise) -> Vec<Option<f64>> {
     rows.iter()
-        .filter_map(|&row| missed(model, seen, row))
-        .map(|residual| noise.cost(noise.square(&residual)))
-        .sum()
+        .map(|&row| missed(model, seen, row).map(|residual| noise.cost(noise.square(&residual))))
+        .collect()
 }
 
-/// Returns the model after steps down the likelihood, and the last step's length in its own sigmas.
-fn descended<M: PoseModel>(
-    model: &M,
-    seen: &[Pose],
-    rows: &[usize],
-    noise: &PoseNoise,
-) -> Result<(M, f64), PoseFitError> {
-    let (end, total, normal) = searched(model, seen, rows, noise)?;
-    let length = total.dot(&(normal * &total)).max(0.0).sqrt();
-    Ok((end, length))
+/// Tells whether costs have not grown, over the rows of which both models tell: a step of the clocks' offset takes rows
+/// past the recording's end, and what is no longer told of must not count as gained.
+fn is_no_worse(present: &[Option<f64>], trial: &[Option<f64>]) -> bool {
+    let (mut both, mut change) = (0, 0.0);
+    for (present, trial) in present.iter().zip(trial) {
+        if let (Some(present), Some(trial)) = (present, trial) {
+            both += 1;
+            change += trial - present;
+        }
+    }
+    2 * both >= present.len() && change <= 0.0
 }
 
-/// Returns the model that rows ask for, with the sum of its steps.
-fn refitted<M: PoseModel>(
-    model: &M,
-    seen: &[Pose],
-    rows: &[usize],
-    noise: &PoseNoise,
-) -> Result<(M, DVector<f64>), PoseFitError> {
-    let (end, total, _) = searched(model, seen, rows, noise)?;
-    Ok((end, total))
+/// Sums over rows: the normal matrix and the gradient, weighted by the noise.
+struct Sums {
+    normal: DMatrix<f64>,
+    gradient: DVector<f64>,
+    /// Room for the derivatives of one row.
+    jacobian: Matrix6xX<f64>,
 }
 
-/// Levenberg and Marquardt's search with the weights of the noise: the end, the sum of steps, the normal matrix.
+impl Sums {
+    fn zeros(n: usize) -> Self {
+        Self { normal: DMatrix::zeros(n, n), gradient: DVector::zeros(n), jacobian: Matrix6xX::zeros(n) }
+    }
+
+    fn clear(&mut self) {
+        self.normal.fill(0.0);
+        self.gradient.fill(0.0);
+    }
+
+    fn add<M: PoseModel>(&mut self, model: &M, seen: &[Pose], rows: &[usize], noise: &PoseNoise) {
+        let n = self.gradient.len();
+        for &row in rows {
+            let Some(residual) = residual(model, seen, row, &mut self.jacobian) else { continue };
+            let weight = noise.inverse() * noise.weight(noise.square(&residual));
+            for a in 0..n {
+                let weighted = weight * self.jacobian.column(a);
+                self.gradient[a] += weighted.dot(&residual);
+                for b in a..n {
+                    self.normal[(b, a)] += weighted.dot(&self.jacobian.column(b));
+                }
+            }
+        }
+        self.normal.fill_upper_triangle_with_lower_triangle();
+    }
+}
+
+/// Where a search ended.
+struct Searched<M> {
+    model: M,
+    /// The sum of its steps.
+    total: DVector<f64>,
+    /// The normal matrix at the last step.
+    normal: DMatrix<f64>,
+}
+
+impl<M> Searched<M> {
+    /// Returns how far the search went, in its own sigmas.
+    fn length(&self) -> f64 {
+        self.total.dot(&(&self.normal * &self.total)).max(0.0).sqrt()
+    }
+}
+
+/// Levenberg and Marquardt's search with the weights of the noise.
 fn searched<M: PoseModel>(
     begin: &M,
     seen: &[Pose],
     rows: &[usize],
     noise: &PoseNoise,
-) -> Result<(M, DVector<f64>, DMatrix<f64>), PoseFitError> {
+) -> Result<Searched<M>, PoseFitError> {
     let n = begin.columns();
-    let weight: Matrix6<f64> = noise.inverse();
     let mut model = begin.clone();
     let mut total = DVector::zeros(n);
     let mut damping = 1e-6;
-    let mut present = cost(&model, seen, rows, noise);
-    let mut normal = DMatrix::zeros(n, n);
-    let mut gradient = DVector::zeros(n);
-    let mut jacobian = Matrix6xX::zeros(n);
+    let mut present = costs(&model, seen, rows, noise);
+    let mut sums = Sums::zeros(n);
     for _ in 0..MAX_STEPS {
-        normal.fill(0.0);
-        gradient.fill(0.0);
-        for &row in rows {
-            let Some(residual) = residual(&model, seen, row, &mut jacobian) else { continue };
-            let weight = weight * noise.weight(noise.square(&residual));
-            for a in 0..n {
-                let weighted = weight * jacobian.column(a);
-                gradient[a] += weighted.dot(&residual);
-                for b in a..n {
-                    normal[(b, a)] += weighted.dot(&jacobian.column(b));
-                }
-            }
-        }
-        normal.fill_upper_triangle_with_lower_triangle();
-        let diagonal = normal.diagonal();
+        sums.clear();
+        sums.add(&model, seen, rows, noise);
+        let diagonal = sums.normal.diagonal();
         if !diagonal.iter().all(|entry| *entry > 0.0) {
             return Err(PoseFitError::Open);
         }
         let step = loop {
-            let mut damped = normal.clone();
+            let mut damped = sums.normal.clone();
             for i in 0..n {
                 damped[(i, i)] += damping * diagonal[i];
             }
-            let step = -damped.cholesky().ok_or(PoseFitError::Open)?.solve(&gradient);
+            let step = -damped.cholesky().ok_or(PoseFitError::Open)?.solve(&sums.gradient);
             let next = model.moved(&step);
-            let lower = cost(&next, seen, rows, noise);
-            if lower <= present {
-                (model, present) = (next, lower);
+            let trial = costs(&next, seen, rows, noise);
+            if is_no_worse(&present, &trial) {
+                (model, present) = (next, trial);
                 damping = (damping * 0.1).max(1e-12);
                 break Some(step);
             }
@@ -260,20 +314,20 @@ fn searched<M: PoseModel>(
             }
         };
         let Some(step) = step else { break };
-        let length = step.dot(&(&normal * &step)).max(0.0).sqrt();
+        let length = step.dot(&(&sums.normal * &step)).max(0.0).sqrt();
         total += step;
         if length < SETTLED_SIGMAS {
             break;
         }
     }
     // What rounding alone keeps apart is open.
-    let scale = normal.diagonal().map(|entry| 1.0 / entry.sqrt());
-    let scaled = DMatrix::from_fn(n, n, |a, b| normal[(a, b)] * scale[a] * scale[b]);
+    let scale = sums.normal.diagonal().map(|entry| 1.0 / entry.sqrt());
+    let scaled = DMatrix::from_fn(n, n, |a, b| sums.normal[(a, b)] * scale[a] * scale[b]);
     let least = scaled.symmetric_eigenvalues().min();
     if least.is_nan() || least <= LEAST_EIGENVALUE {
         return Err(PoseFitError::Open);
     }
-    Ok((model, total, normal))
+    Ok(Searched { model, total, normal: sums.normal })
 }
 
 /// The least eigenvalue of the normal matrix, scaled to a diagonal of ones, with which unknowns are told apart.

@@ -1,6 +1,6 @@
 //! Poses over time, and where they lead between two samples.
 
-use crate::{Pose, Vector6};
+use crate::{Pose, UnitQuaternion, Vector6};
 
 /// A moving frame, sampled: `b_from_a` at increasing times.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -49,39 +49,45 @@ impl PoseStream {
     /// Returns the pose at a time: the rotation along the shortest arc between its neighbours, the translation
     /// along the line. `None` before the first sample, after the last, and in gaps.
     pub fn at(&self, time_s: f64) -> Option<Pose> {
-        let (before, after, share) = self.between(time_s)?;
-        if share == 1.0 {
-            return Some(self.poses[after]);
-        }
-        let (one, other) = (&self.poses[before], &self.poses[after]);
-        let turn = Pose::new(other.rotation * one.rotation.inverse(), other.translation).rodrigues() * share;
-        let turned = Pose::from_rodrigues(turn, one.translation).rotation * one.rotation;
-        Some(Pose::new(turned, one.translation + (other.translation - one.translation) * share))
-    }
-
-    /// Returns the samples about a time and how far it is from the first to the second; `None` where no pose is.
-    fn between(&self, time_s: f64) -> Option<(usize, usize, f64)> {
         let next = self.times_s.partition_point(|sample| *sample < time_s);
         if self.times_s.get(next) == Some(&time_s) {
-            return Some((next, next, 1.0));
+            return Some(self.poses[next]);
         }
-        let before = next.checked_sub(1)?;
-        let (begin, end) = (*self.times_s.get(before)?, *self.times_s.get(next)?);
-        (end - begin <= self.longest_gap_s).then(|| (before, next, (time_s - begin) / (end - begin)))
+        let (pose, _) = self.along(next.checked_sub(1)?, time_s)?;
+        Some(pose)
     }
 
-    /// Tells whether there is a [`twist`](Self::twist) at a time, without working it out.
-    pub fn has_twist(&self, time_s: f64) -> bool {
-        let half = 0.5 * self.median_interval_s();
-        self.between(time_s - half).is_some() && self.between(time_s + half).is_some()
+    /// Returns the pose at a time, and how it moves there: the left tangent `[rotation, translation]` per second, of
+    /// the piece that ends at a sample where the time is a sample's. `None` where [`at`](Self::at) is, and for a
+    /// sample with gaps on both sides.
+    pub fn at_moving(&self, time_s: f64) -> Option<(Pose, Vector6<f64>)> {
+        let next = self.times_s.partition_point(|sample| *sample < time_s);
+        let ending = next.checked_sub(1).and_then(|before| self.along(before, time_s));
+        let is_sample = self.times_s.get(next) == Some(&time_s);
+        let (pose, twist) = ending.or_else(|| is_sample.then(|| self.along(next, time_s))?)?;
+        Some((if is_sample { self.poses[next] } else { pose }, twist))
     }
 
-    /// Returns the twist at a time: the tangent `[rotation, translation]` per second by which the pose moves,
-    /// from the left, over one median interval. `None` where [`at`](Self::at) is at either end of it.
-    pub fn twist(&self, time_s: f64) -> Option<Vector6<f64>> {
-        let half = 0.5 * self.median_interval_s();
-        let (before, after) = (self.at(time_s - half)?, self.at(time_s + half)?);
-        Some((after * before.inverse()).log() / (2.0 * half))
+    /// Returns the pose on the piece from a sample to the next, and how it moves there; `None` for gaps.
+    fn along(&self, before: usize, time_s: f64) -> Option<(Pose, Vector6<f64>)> {
+        let (begin_s, end_s) = (*self.times_s.get(before)?, *self.times_s.get(before + 1)?);
+        let interval_s = end_s - begin_s;
+        if interval_s > self.longest_gap_s {
+            return None;
+        }
+        let share = (time_s - begin_s) / interval_s;
+        let (one, other) = (&self.poses[before], &self.poses[before + 1]);
+        let turn = (other.rotation * one.rotation.inverse()).scaled_axis();
+        let shift = other.translation - one.translation;
+        let turned = UnitQuaternion::from_scaled_axis(turn * share) * one.rotation;
+        let pose = Pose::new(turned, one.translation + shift * share);
+        // A left perturbation (w, v) moves the translation by w × t + v.
+        let rotation = turn / interval_s;
+        let translation = shift / interval_s - rotation.cross(&pose.translation);
+        let mut twist = Vector6::zeros();
+        twist.fixed_rows_mut::<3>(0).copy_from(&rotation);
+        twist.fixed_rows_mut::<3>(3).copy_from(&translation);
+        Some((pose, twist))
     }
 }
 
@@ -105,14 +111,22 @@ mod tests {
         for time in [-0.1, 2.0, 5.2, f64::NAN] {
             assert_eq!(stream.at(time), None, "{time}");
         }
-        for time in [-0.1, 0.0, 0.04, 0.06, 0.25, 0.34, 0.36, 0.41, 2.0, 5.05, f64::NAN] {
-            assert_eq!(stream.has_twist(time), stream.twist(time).is_some(), "{time}");
+        for time in [-0.1, 2.0, 5.2, f64::NAN] {
+            assert_eq!(stream.at_moving(time), None, "{time}");
         }
-        let twist = stream.twist(0.25).unwrap();
-        let step = 1e-6;
-        let expected = (moving(0.25 + step) * moving(0.25 - step).inverse()).log() / (2.0 * step);
-        assert!((twist - expected).norm() < 1e-3, "{twist} {expected}");
-        assert!(PoseStream::default().at(0.0).is_none() && PoseStream::default().twist(0.0).is_none());
+        // The derivative of what is between the samples, and at them that of the piece before, or else behind.
+        let step = 1e-7;
+        for (time, sides) in [(0.25, [-1.0, 1.0]), (0.3, [-1.0, 0.0]), (0.0, [0.0, 1.0]), (5.0, [0.0, 1.0])] {
+            let (pose, twist) = stream.at_moving(time).unwrap();
+            assert_eq!(Some(pose), stream.at(time));
+            let [before, after] = sides.map(|side| stream.at(time + side * step).unwrap());
+            let expected = (after * before.inverse()).log() / (step * (sides[1] - sides[0]));
+            // One-sided differences are off by the step times the speeds' product.
+            assert!((twist - expected).norm() < 1e-6, "{time}: {twist} {expected}");
+        }
+        assert!(PoseStream::default().at(0.0).is_none() && PoseStream::default().at_moving(0.0).is_none());
+        let alone = PoseStream::new([(1.0, moving(1.0))]);
+        assert!(alone.at(1.0).is_some() && alone.at_moving(1.0).is_none());
     }
 
     #[test]

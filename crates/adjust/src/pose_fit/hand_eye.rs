@@ -1,5 +1,7 @@
 //! Rig and target on a robot, and how far its clock is from the camera's.
 
+use std::sync::Arc;
+
 use boresight_data::Mounting;
 use boresight_geometry::nalgebra::{DVector, Matrix6xX};
 use boresight_geometry::{Pose, PoseStream, Vector6};
@@ -23,8 +25,8 @@ pub enum Arm {
 /// Where rig and target sit on a robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HandEyeModel {
-    /// What the robot said.
-    pub arm: Arm,
+    /// What the robot said; shared, for a search makes many models.
+    pub arm: Arc<Arm>,
     /// Which of rig and target moves.
     pub mounting: Mounting,
     /// The rig on its carrier.
@@ -46,23 +48,23 @@ impl HandEyeModel {
         fit_poses(self, seen, block_of_row)
     }
 
-    /// Returns `base_from_flange` of a row; `None` where nothing tells of it or of how it moves.
+    /// Returns `base_from_flange` of a row.
     fn told(&self, row: usize) -> Option<Pose> {
-        match &self.arm {
+        match &*self.arm {
             Arm::Rows(poses) => poses.get(row).copied(),
             Arm::Stream { base_from_flange, times_s } => {
-                let time_s = times_s.get(row)? + self.offset_s;
-                base_from_flange.has_twist(time_s).then(|| base_from_flange.at(time_s))?
+                base_from_flange.at(times_s.get(row)? + self.offset_s)
             }
         }
     }
 
-    /// Returns the twist per second of a row; `None` where robots stand.
-    fn twist(&self, row: usize) -> Option<Vector6<f64>> {
-        match &self.arm {
-            Arm::Rows(_) => None,
+    /// Returns `base_from_flange` of a row, and its twist per second where it moves.
+    fn told_moving(&self, row: usize) -> Option<(Pose, Option<Vector6<f64>>)> {
+        match &*self.arm {
+            Arm::Rows(poses) => Some((*poses.get(row)?, None)),
             Arm::Stream { base_from_flange, times_s } => {
-                base_from_flange.twist(times_s.get(row)? + self.offset_s)
+                let (pose, twist) = base_from_flange.at_moving(times_s.get(row)? + self.offset_s)?;
+                Some((pose, Some(twist)))
             }
         }
     }
@@ -70,7 +72,7 @@ impl HandEyeModel {
 
 impl PoseModel for HandEyeModel {
     fn columns(&self) -> usize {
-        match self.arm {
+        match *self.arm {
             Arm::Rows(_) => 12,
             Arm::Stream { .. } => 13,
         }
@@ -86,7 +88,7 @@ impl PoseModel for HandEyeModel {
     }
 
     fn predicted(&self, row: usize, by_unknowns: &mut Matrix6xX<f64>) -> Option<Pose> {
-        let base_from_flange = self.told(row)?;
+        let (base_from_flange, twist) = self.told_moving(row)?;
         let carrier_from_other = match self.mounting {
             Mounting::RigOnFlange => base_from_flange.inverse(),
             Mounting::RigInBase => base_from_flange,
@@ -95,7 +97,7 @@ impl PoseModel for HandEyeModel {
         let rig_from_other = rig_from_carrier * carrier_from_other;
         by_unknowns.view_mut((0, 0), (6, 6)).copy_from(&-rig_from_carrier.adjoint());
         by_unknowns.view_mut((0, 6), (6, 6)).copy_from(&rig_from_other.adjoint());
-        if let Some(twist) = self.twist(row) {
+        if let Some(twist) = twist {
             // The flange moves in the base by the twist, the base in the flange's frame by its opposite.
             let column = match self.mounting {
                 Mounting::RigOnFlange => -(rig_from_other.adjoint() * twist),

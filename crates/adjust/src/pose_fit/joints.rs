@@ -4,6 +4,8 @@
 //! (1984). A joint is the line about which it turns, four numbers in the rig's frame; the pose at the reference
 //! takes six. Nothing else can be told, and nothing is counted twice, however the joints are arranged.
 
+use std::sync::Arc;
+
 use boresight_geometry::nalgebra::{DVector, Matrix6xX};
 use boresight_geometry::{Matrix6, Pose, Vector3, Vector6};
 
@@ -13,7 +15,7 @@ use super::{PoseFit, PoseFitError, PoseModel, fit_poses};
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointModel {
     /// The joints' angles of each row, in radians, relative to the reference.
-    pub angles_rad: Vec<Vec<f64>>,
+    pub angles_rad: Arc<Vec<Vec<f64>>>,
     /// The lines about which joints turn, the one nearest to the camera first: the z axes of these frames, where
     /// all joints are at the reference.
     pub rig_from_joint: Vec<Pose>,

@@ -1,5 +1,7 @@
 //! The noise of poses: a covariance and how heavy the tails are.
 
+use std::ops::Range;
+
 use boresight_geometry::{Matrix6, Vector6};
 
 /// The noise of poses as their residuals tell it, in the camera's frame, rotation first.
@@ -20,6 +22,10 @@ const SETTLED_BELOW: f64 = 1e-5;
 /// Variances below which a component counts as exact: 1e-9 radians, 1e-9 m.
 const LEAST_VARIANCE: f64 = 1e-18;
 
+/// Of fewer rows only the sizes of turns and shifts are told. The unknowns of a fit can bring one direction of a few rows
+/// to zero, and a covariance of its own for each direction would be the more likely the smaller it is there.
+const LEAST_ROWS: usize = 30;
+
 /// Finds the most likely noise of residuals again and again, each time from where it was last.
 ///
 /// The most likely scale is where a convex function ends (Kent & Tyler 1991), so that the start does not matter, but
@@ -34,13 +40,23 @@ pub(super) struct NoiseSearch {
 
 impl NoiseSearch {
     /// Returns the most likely noise of residuals, whose squares fits have made smaller by `redundancy`.
-    pub(super) fn noise(&mut self, residuals: &[Vector6<f64>], redundancy: f64) -> PoseNoise {
+    pub(super) fn of_all_choices(&mut self, residuals: &[Vector6<f64>], redundancy: f64) -> PoseNoise {
+        self.descended(0..CHOICES.len(), residuals, redundancy)
+    }
+
+    /// Returns the same where the last choice and its neighbours are looked at first, and others only where these are
+    /// better.
+    pub(super) fn of_near_choices(&mut self, residuals: &[Vector6<f64>], redundancy: f64) -> PoseNoise {
+        let near = self.best.map_or(0..CHOICES.len(), neighbours);
+        self.descended(near, residuals, redundancy)
+    }
+
+    fn descended(&mut self, first: Range<usize>, residuals: &[Vector6<f64>], redundancy: f64) -> PoseNoise {
         let mut costs: [Option<f64>; CHOICES.len()] = [None; CHOICES.len()];
-        let mut best = self.best;
+        let mut choices = first;
+        let mut best = None;
         loop {
-            let near =
-                best.map_or(0..CHOICES.len(), |best| best.saturating_sub(1)..(best + 2).min(CHOICES.len()));
-            for choice in near {
+            for choice in choices {
                 if costs[choice].is_none() {
                     let found = self.settled(choice, residuals, redundancy);
                     costs[choice] = Some(found.likelihood_cost(residuals));
@@ -53,6 +69,7 @@ impl NoiseSearch {
                 break;
             }
             best = least;
+            choices = best.map_or(0..0, neighbours);
         }
         self.best = best;
         let found = best.and_then(|best| self.known[best]);
@@ -77,7 +94,11 @@ impl NoiseSearch {
                 sum += residual * (residual * weight).transpose();
                 weights += weight;
             }
-            let next = PoseNoise::new(sum * (share / weights), degrees_of_freedom);
+            let mut scale = sum * (share / weights);
+            if residuals.len() < LEAST_ROWS {
+                scale = pooled(&scale);
+            }
+            let next = PoseNoise::new(scale, degrees_of_freedom);
             let changed = noise.changed(&next);
             noise = next;
             if changed < SETTLED_BELOW || degrees_of_freedom.is_infinite() {
@@ -88,8 +109,20 @@ impl NoiseSearch {
     }
 }
 
+/// Returns the indices of a choice and of those beside it.
+fn neighbours(choice: usize) -> Range<usize> {
+    choice.saturating_sub(1)..(choice + 2).min(CHOICES.len())
+}
+
+/// Returns a covariance with one variance of all turns and one of all shifts.
+fn pooled(scale: &Matrix6<f64>) -> Matrix6<f64> {
+    let mean = |first: usize| (0..3).map(|i| scale[(first + i, first + i)]).sum::<f64>() / 3.0;
+    let (turn, shift) = (mean(0), mean(3));
+    Matrix6::from_diagonal(&Vector6::new(turn, turn, turn, shift, shift, shift))
+}
+
 impl PoseNoise {
-    fn new(scale: Matrix6<f64>, degrees_of_freedom: f64) -> Self {
+    pub(super) fn new(scale: Matrix6<f64>, degrees_of_freedom: f64) -> Self {
         let mut scale = scale;
         for i in 0..6 {
             scale[(i, i)] += LEAST_VARIANCE;
@@ -133,7 +166,7 @@ impl PoseNoise {
     }
 
     /// Returns the negative logarithm of the likelihood of all residuals, up to a constant.
-    fn likelihood_cost(&self, residuals: &[Vector6<f64>]) -> f64 {
+    pub(super) fn likelihood_cost(&self, residuals: &[Vector6<f64>]) -> f64 {
         let n = residuals.len() as f64;
         let half = 0.5 * self.degrees_of_freedom;
         // Γ(h + 3) / (Γ(h) h³) = (1 + 1 / h) (1 + 2 / h), which is one for a normal distribution.

@@ -1,5 +1,7 @@
 //! A positioner's kinematics: the lines about which its joints turn, from sights of a target on it.
 
+use std::sync::Arc;
+
 use boresight_adjust::{JointModel, PoseFit, PoseModel as _, PoseNoise};
 use boresight_data::{Finding, Severity};
 use boresight_geometry::nalgebra::{DMatrix, DVector};
@@ -8,7 +10,7 @@ use boresight_io::TimedPose;
 use boresight_seed::joint_lines;
 use serde::Serialize;
 
-use super::sighted_poses::{FAR_SIGMAS, PoseFigures, of_far};
+use super::sighted_poses::{FAR_SIGMAS, PoseFigures, blocks_of_rows, of_far};
 use crate::error::Error;
 
 /// A chain of turning joints with a target at its end, seen by a camera that stands.
@@ -74,12 +76,11 @@ pub fn joint_chain(readings_rad: &[Vec<f64>], sights: &[TimedPose]) -> Result<Jo
     let reference = &readings_rad[start.reference];
     let relative = |row: &Vec<f64>| row.iter().zip(reference).map(|(angle, zero)| angle - zero).collect();
     let model = JointModel {
-        angles_rad: readings_rad.iter().map(relative).collect(),
+        angles_rad: Arc::new(readings_rad.iter().map(relative).collect()),
         rig_from_joint: start.rig_from_joint,
         rig_from_target: seen[start.reference],
     };
-    let blocks: Vec<usize> = (0..seen.len()).collect();
-    let fit = model.fitted(&seen, &blocks)?;
+    let fit = model.fitted(&seen, &blocks_of_rows(seen.len()))?;
     let far = fit.sigmas.iter().flatten().filter(|sigmas| **sigmas > FAR_SIGMAS).count();
     let mut findings: Vec<Finding> = of_far(far, seen.len()).into_iter().collect();
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));

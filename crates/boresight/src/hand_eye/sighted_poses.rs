@@ -4,6 +4,8 @@
 //! rows give the start. Rig, target and the clocks' offset are then fitted together, with noise of the sights
 //! that is estimated from what is left over; blocks of rows that are left out tell how good all of it is.
 
+use std::sync::Arc;
+
 use boresight_adjust::{Arm, HandEyeModel, PoseFit, PoseModel as _, PoseNoise};
 use boresight_data::{Finding, Mounting, Severity};
 use boresight_geometry::{Pose, PoseStream, Vector3, Vector6};
@@ -132,7 +134,7 @@ pub fn hand_eye_of_poses(
     findings.extend(doubts::of_mounting(mounting, misfit_m, other));
 
     let model = HandEyeModel {
-        arm,
+        arm: Arc::new(arm),
         mounting,
         carrier_from_rig: hand_eye.carrier_from_rig,
         other_from_target: hand_eye.other_from_target,
@@ -207,14 +209,21 @@ fn spread<T: Copy>(items: &[T], most: usize) -> Vec<T> {
     items.iter().copied().step_by(step).collect()
 }
 
-/// Returns for each row the block it is left out with: itself of few rows, else a twentieth of the recording.
+/// Returns for each of so many rows the block it is left out with: itself of few rows, else a twentieth.
+pub(super) fn blocks_of_rows(count: usize) -> Vec<usize> {
+    let blocks = if count <= 5 * BLOCKS { count } else { BLOCKS };
+    (0..count).map(|row| row * blocks / count).collect()
+}
+
+/// Returns the same, of streams by the time of the rows that the robot tells of.
 fn blocks(model: &HandEyeModel) -> Vec<usize> {
-    match &model.arm {
-        Arm::Rows(poses) if poses.len() <= 5 * BLOCKS => (0..poses.len()).collect(),
-        Arm::Rows(poses) => (0..poses.len()).map(|row| row * BLOCKS / poses.len()).collect(),
+    match &*model.arm {
+        Arm::Rows(poses) => blocks_of_rows(poses.len()),
         Arm::Stream { times_s, .. } => {
-            let first = times_s.iter().copied().fold(f64::INFINITY, f64::min);
-            let last = times_s.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            let told = |row: &usize| model.pose(*row).is_some();
+            let of_told = (0..times_s.len()).filter(told).map(|row| times_s[row]);
+            let first = of_told.clone().fold(f64::INFINITY, f64::min);
+            let last = of_told.fold(f64::NEG_INFINITY, f64::max);
             let block = |time_s: &f64| {
                 let share = (time_s - first) / (last - first).max(f64::MIN_POSITIVE);
                 ((share * BLOCKS as f64) as usize).min(BLOCKS - 1)
@@ -358,7 +367,7 @@ fn of_clock(clock: &ClockPair, fit: &PoseFit<HandEyeModel>, seen: &[Pose]) -> Ve
             "Add it to the camera's times wherever both are used together.",
         ));
     }
-    let Arm::Stream { base_from_flange, times_s } = &fit.model.arm else { return findings };
+    let Arm::Stream { base_from_flange, times_s } = &*fit.model.arm else { return findings };
     let rows: Vec<usize> = (0..seen.len()).filter(|&row| fit.model.pose(row).is_some()).collect();
     let (early, late) = rows.split_at(rows.len() / 2);
     let [early, late] = [early, late].map(|half| {
@@ -368,7 +377,7 @@ fn of_clock(clock: &ClockPair, fit: &PoseFit<HandEyeModel>, seen: &[Pose]) -> Ve
         };
         let poses: Vec<Pose> = half.iter().map(|&row| seen[row]).collect();
         let blocks: Vec<usize> = (0..half.len()).map(|row| row * BLOCKS / 2 / half.len()).collect();
-        let half = HandEyeModel { arm, ..fit.model.clone() }.fitted(&poses, &blocks).ok()?;
+        let half = HandEyeModel { arm: Arc::new(arm), ..fit.model.clone() }.fitted(&poses, &blocks).ok()?;
         Some((half.model.offset_s, half.covariance[(12, 12)]))
     });
     if let (Some((early_s, early_variance)), Some((late_s, late_variance))) = (early, late) {
