@@ -9,7 +9,7 @@ mod distances;
 use boresight_geometry::nalgebra::Matrix3x4;
 use boresight_geometry::{Matrix3, Point3, Pose, Vector3};
 
-use self::distances::{Found, distances};
+use self::distances::distances;
 
 /// The least height of a triangle over its longest side.
 pub const LEAST_HEIGHT: f64 = 1e-9;
@@ -104,16 +104,29 @@ pub fn three_point_poses(
     rays_in_cam: &[Vector3<f64>; 3],
     points_in_target: &[Vector3<f64>; 3],
 ) -> Result<ThreePointPoses, ThreePointError> {
-    let (found, turn) = ray_distances(rays_in_cam, points_in_target)?;
-    let [first, second, third] = turn.map(|i| points_in_target[i]);
-    let frame_in_target = triangle_frame(first, second, third);
+    let sides = checked_sides(rays_in_cam, points_in_target)?;
+    Ok(placed(&sides, rays_in_cam, points_in_target))
+}
+
+/// Returns the poses that put three points onto three rays.
+fn placed(
+    Sides { turn, versines, squares }: &Sides,
+    rays_in_cam: &[Vector3<f64>; 3],
+    points_in_target: &[Vector3<f64>; 3],
+) -> ThreePointPoses {
+    let found = distances(versines, squares);
+    let corners_in_target = turn.map(|i| points_in_target[i]);
+    let normals = Normals::of(&corners_in_target);
+    let target = triangle_frame(&corners_in_target, &normals);
+    let [first, second, third] = corners_in_target;
     let centre_in_target = (first + second + third) / 3.0;
     let mut poses = ThreePointPoses::default();
     for solution in &found.items[..found.count] {
         let along = solution.along;
-        let [a, b, c] = [0, 1, 2].map(|k| rays_in_cam[turn[k]] * along[k]);
-        let rotation = triangle_frame(a, b, c) * frame_in_target.transpose();
-        let translation = (a + b + c) / 3.0 - rotation * centre_in_target;
+        let corners_in_cam = [0, 1, 2].map(|k| rays_in_cam[turn[k]] * along[k]);
+        let rotation = triangle_frame(&corners_in_cam, &normals) * target.transpose();
+        let [first, second, third] = corners_in_cam;
+        let translation = (first + second + third) / 3.0 - rotation * centre_in_target;
         let mut distances = [0.0; 3];
         for k in 0..3 {
             distances[turn[k]] = along[k];
@@ -125,7 +138,7 @@ pub fn three_point_poses(
         };
         poses.count += 1;
     }
-    Ok(poses)
+    poses
 }
 
 /// Returns the triangle with the sides 12, 23 and 31, in a frame of its own: the first point at the
@@ -182,12 +195,18 @@ pub fn backward_project(
     Ok(poses.as_slice().iter().map(corners).collect())
 }
 
-/// Returns the distances along the rays, and the order in which the points stand in them: the longest
-/// side joins the last and the first.
-fn ray_distances(
-    rays: &[Vector3<f64>; 3],
-    points: &[Vector3<f64>; 3],
-) -> Result<(Found, [usize; 3]), ThreePointError> {
+/// What the distances along three rays follow from.
+struct Sides {
+    /// The order in which the points stand: the longest side joins the last and the first.
+    turn: [usize; 3],
+    /// For the sides 12, 23 and 31 in that order, 1 - cos of the angle between the rays.
+    versines: [f64; 3],
+    /// Their squares.
+    squares: [f64; 3],
+}
+
+/// Returns the sides of a triangle and of its rays, unless it has no pose.
+fn checked_sides(rays: &[Vector3<f64>; 3], points: &[Vector3<f64>; 3]) -> Result<Sides, ThreePointError> {
     for index in 0..3 {
         if !(rays[index].norm_squared().is_finite() && points[index].norm_squared().is_finite()) {
             return Err(ThreePointError::NotFinite { index });
@@ -214,7 +233,7 @@ fn ray_distances(
     } else {
         [0, 1, 2]
     };
-    Ok((distances(turn.map(|k| versines[k]), turn.map(|k| sides[k])), turn))
+    Ok(Sides { turn, versines: turn.map(|k| versines[k]), squares: turn.map(|k| sides[k]) })
 }
 
 /// Returns the squares of the sides 12, 23 and 31, unless the points lie on a line.
@@ -232,10 +251,34 @@ fn check_triangle(points: &[Vector3<f64>; 3]) -> Result<[f64; 3], ThreePointErro
     Err(ThreePointError::Collinear { ratio, limit: LEAST_HEIGHT })
 }
 
+/// The inverse lengths of a triangle's longest side and of its normal, which it has wherever it stands.
+struct Normals {
+    side: f64,
+    normal: f64,
+}
+
+impl Normals {
+    fn of([first, second, third]: &[Vector3<f64>; 3]) -> Self {
+        let side = third - first;
+        let normal = side.cross(&(second - first));
+        Self { side: 1.0 / side.norm(), normal: 1.0 / normal.norm() }
+    }
+}
+
 /// Returns the axes of the frame of a triangle: from the first to the last point, in the plane, and normal to it.
-fn triangle_frame(first: Vector3<f64>, second: Vector3<f64>, third: Vector3<f64>) -> Matrix3<f64> {
-    let unit = |v: Vector3<f64>| v * (1.0 / v.norm());
-    let x = unit(third - first);
-    let z = unit(x.cross(&(second - first)));
+#[inline]
+fn triangle_frame([first, second, third]: &[Vector3<f64>; 3], normals: &Normals) -> Matrix3<f64> {
+    let side = third - first;
+    let normal = side.cross(&(second - first));
+    let x = side * inverse_norm(&side, normals.side);
+    let z = normal * inverse_norm(&normal, normals.normal);
     Matrix3::from_columns(&[x, z.cross(&x), z])
+}
+
+/// Returns the inverse length of a vector, where a number is nearly it.
+fn inverse_norm(v: &Vector3<f64>, nearly: f64) -> f64 {
+    let square = v.norm_squared();
+    let off = square * nearly * nearly - 1.0;
+    // A step of Newton's, which leaves 3/8 of the square; needles may be further off.
+    if off.abs() < 1e-8 { nearly * (1.0 - 0.5 * off) } else { 1.0 / square.sqrt() }
 }
