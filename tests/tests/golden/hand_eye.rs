@@ -2,7 +2,7 @@
 //! of a solve.
 
 use boresight_adjust::{
-    AdjustOptions, Rejection, RobotNoise, adjust, estimate_robot_noise, leave_one_out, optimize,
+    AdjustOptions, Error, Rejection, RobotNoise, adjust, estimate_robot_noise, leave_one_out, optimize,
 };
 use boresight_geometry::{Matrix6, Pose, Vector3};
 use boresight_synthetic::{Recipe, RobotRecipe, Synthetic, add_robot, simulate};
@@ -143,6 +143,18 @@ fn a_robots_stretch_is_found() {
     println!("stretch: {matrix:.5}, noise {:?}", found.noise);
     assert!((matrix[(0, 0)] - 1.0 / 0.99 + 1.0).abs() < 3e-3, "{matrix}");
     assert!((found.noise.translation_m / NOISE.translation_m - 1.0).abs() < 0.4, "{:?}", found.noise);
+}
+
+#[test]
+fn a_splined_lens_on_a_robot_is_refused() {
+    let mut made = recording(Recipe { frames: 6, ..Recipe::mono() }, RobotRecipe::on_flange(), 1);
+    let camera = &mut made.truth.rig.cameras.iter_mut().flatten().next().unwrap().camera;
+    let model: boresight_camera::Model = "splined3:12x9:100deg".parse().unwrap();
+    let mut params = vec![0.0; model.param_names().len()];
+    params[..4].copy_from_slice(&camera.params[..4]);
+    *camera = boresight_camera::Camera::new(model, params, camera.image_size).unwrap();
+    let refused = optimize(&made.dataset, &made.truth, &options(Some(NOISE))).unwrap_err();
+    assert!(matches!(refused, Error::LocalLensOnRobot { .. }), "{refused}");
 }
 
 #[test]
