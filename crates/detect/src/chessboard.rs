@@ -16,7 +16,7 @@ use crate::plane::Plane;
 use crate::saddles::find_saddles;
 
 /// Detection begins at a scale at which the image has at most this many pixels.
-const FIRST_PIXELS: usize = 400_000;
+const FIRST_PIXELS: usize = 100_000;
 /// The shortest side of an image in which a board is looked for.
 const LEAST_SIDE: usize = 40;
 /// The lattices of an image that are looked at closely.

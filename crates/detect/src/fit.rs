@@ -85,7 +85,8 @@ pub(crate) struct Fit {
 
 /// Fits a corner, or returns `None` where the grey values do not look like one.
 pub(crate) fn fit(image: &GrayImage, start: &Start) -> Option<Fit> {
-    let mut window = Window::around(image, start)?;
+    let mut pixels = Pixels::none();
+    let mut window = Window::around(image, start, &mut pixels)?;
     let mut x = window.first_guess(start);
     let mut damping = 1e-3;
     let mut normal = window.normal_equations(&x);
@@ -168,10 +169,10 @@ fn aliasing_px(blur_px: f64) -> f64 {
 }
 
 /// The grey values around a corner, less their mean and in units of their spread.
-struct Window {
+struct Window<'a> {
     /// The pixel that the coordinates below are relative to.
     origin: [f64; 2],
-    pixels: Pixels,
+    pixels: &'a mut Pixels,
     mean: f64,
     spread: f64,
     /// Half the width of the window in pixels.
@@ -180,16 +181,21 @@ struct Window {
     curvatures: [f64; 2],
 }
 
-impl Window {
-    fn around(image: &GrayImage, start: &Start) -> Option<Self> {
+impl<'a> Window<'a> {
+    fn around(image: &GrayImage, start: &Start, pixels: &'a mut Pixels) -> Option<Self> {
         match image.pixels() {
-            GrayPixels::Eight(values) => Self::of(values, image.size(), start, f64::from),
-            GrayPixels::Sixteen(values) => Self::of(values, image.size(), start, f64::from),
+            GrayPixels::Eight(values) => Self::of(values, image.size(), start, pixels),
+            GrayPixels::Sixteen(values) => Self::of(values, image.size(), start, pixels),
         }
     }
 
     /// Gathers the pixels whose coordinates in steps are within the reach.
-    fn of<P: Copy>(values: &[P], size: [u32; 2], start: &Start, grey: impl Fn(P) -> f64) -> Option<Self> {
+    fn of<P: Copy + Into<f64>>(
+        values: &[P],
+        size: [u32; 2],
+        start: &Start,
+        pixels: &'a mut Pixels,
+    ) -> Option<Self> {
         let [a, b] = start.steps_px;
         let determinant = a[0] * b[1] - a[1] * b[0];
         let lengths = start.steps_px.map(|step| step[0].hypot(step[1]));
@@ -197,9 +203,10 @@ impl Window {
         if determinant.is_nan() || determinant.abs() <= 0.1 * lengths[0] * lengths[1] {
             return None;
         }
-        // Wide edges need a wide window. They also need not be looked at in every row and column, sharp ones do.
+        // The longer the edges that are seen, the better they average noise and, where they are sharp, how they fall between
+        // pixels: the window is as wide as can be. Wide edges need not be looked at in every row and column, sharp ones do.
         let gap = (1.2 * start.blur_px).clamp(1.0, 8.0).floor();
-        let enough_px = (7.0 * start.blur_px + 6.0).min(0.5 * MOST_ACROSS * gap);
+        let enough_px = 0.5 * MOST_ACROSS * gap;
         let reach = lengths.map(|length| start.reach.min(enough_px / length).max(2.0 / length));
         let half = [0, 1].map(|axis| reach[0] * a[axis].abs() + reach[1] * b[axis].abs());
         let [width, height] = size.map(|side| side as usize);
@@ -216,7 +223,6 @@ impl Window {
         });
         let is_hole_along = start.hole.is_some_and(|hole| hole.is_bright == start.is_bright);
         let origin = start.pixel.map(f64::round);
-        let mut pixels = Pixels::none();
         // Sums and counts of the grey values in the sectors: both bright or both dark, before and after along each axis.
         let (mut sums, mut counts) = ([0.0f64; 4], [0.0f64; 4]);
         // Along a row, either coordinate in steps is linear in x.
@@ -245,7 +251,7 @@ impl Window {
                     && along[1].abs() > hole_from[1]
                     && (along[0] * along[1] > 0.0) == is_hole_along;
                 if !is_in_hole {
-                    let value = grey(values[v * width + u]);
+                    let value: f64 = values[v * width + u].into();
                     let sector = 2 * usize::from(along[0] > 0.0) + usize::from(along[1] > 0.0);
                     sums[sector] += value;
                     counts[sector] += 1.0;

@@ -71,16 +71,19 @@ impl Plane {
             && v >= border
             && u < self.width as f64 - 1.0 - border
             && v < self.height as f64 - 1.0 - border;
-        if !inside {
-            return None;
-        }
+        inside.then(|| self.sample_inside([u, v]))
+    }
+
+    /// Returns the value at a place between pixels that are all in the plane.
+    #[inline]
+    pub fn sample_inside(&self, [u, v]: [f64; 2]) -> f32 {
         let (x, y) = (u as usize, v as usize);
         let (across, down) = ((u - x as f64) as f32, (v - y as f64) as f32);
         let at = y * self.width + x;
         let (upper, lower) = (&self.values[at..at + 2], &self.values[at + self.width..at + self.width + 2]);
         let top = upper[0] + across * (upper[1] - upper[0]);
         let bottom = lower[0] + across * (lower[1] - lower[0]);
-        Some(top + down * (bottom - top))
+        top + down * (bottom - top)
     }
 
     /// Returns the values below and above which one percent of a coarse sample lies.
