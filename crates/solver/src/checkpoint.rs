@@ -26,6 +26,7 @@ pub(crate) struct Saved {
     pub damping: f64,
     pub growth: f64,
     pub gain: f64,
+    pub promised: f64,
     pub values: Vec<f64>,
     /// Where the supports of the terms were found; nothing if that is where the problem starts.
     pub support_values: Vec<f64>,
@@ -52,7 +53,10 @@ impl Writer {
         iteration: u64,
     ) -> Result<(), Error> {
         // What a kept model has learnt is not saved; the search goes on from where that was made, the same way.
-        let (values, since) = solver.origin().unwrap_or((values, 0));
+        let (values, promised, since) = match solver.origin() {
+            None => (values, solver.promised, 0),
+            Some(at) => (&*at.values, at.promised, (solver.counters.iterations - at.iterations) as u64),
+        };
         let saved = Saved {
             schema: SCHEMA.to_owned(),
             problem: format!("{:016x}", self.hash),
@@ -60,6 +64,7 @@ impl Writer {
             damping: solver.damping,
             growth: solver.growth,
             gain: solver.gain,
+            promised,
             values: values.to_vec(),
             support_values: solver.support_values.clone(),
         };

@@ -24,9 +24,17 @@ pub(crate) struct KeptModel {
     /// The cost there.
     pub cost: f64,
     pairs: Vec<Pair>,
-    /// Where the model was made, and how many steps had been taken before.
-    pub origin: Vec<f64>,
-    pub first_iteration: usize,
+    pub origin: Origin,
+}
+
+/// Where a kept model was made: the search takes the same steps from there again.
+#[derive(Debug)]
+pub(crate) struct Origin {
+    pub values: Vec<f64>,
+    /// The steps that had been taken before.
+    pub iterations: usize,
+    /// The decrease that the last of them promised.
+    pub promised: f64,
 }
 
 /// A step and what it changed.
@@ -38,13 +46,8 @@ struct Pair {
 }
 
 impl KeptModel {
-    /// Returns a search that stands where the model was made: at `origin`, after so many iterations.
-    pub(crate) fn new(
-        structure: &Structure,
-        model: &Linearization,
-        origin: &[f64],
-        first_iteration: usize,
-    ) -> Self {
+    /// Returns a search that stands where the model was made.
+    pub(crate) fn new(structure: &Structure, model: &Linearization, origin: Origin) -> Self {
         let mut gradient = vec![0.0; structure.n_columns];
         for (full, column) in structure.each_reduced() {
             gradient[full] = model.reduced.gradient[column];
@@ -54,7 +57,7 @@ impl KeptModel {
                 gradient[structure.first_column[block]..][..SIDE].copy_from_slice(&sums.gradient);
             }
         }
-        Self { gradient, cost: model.cost(), pairs: Vec::new(), origin: origin.to_vec(), first_iteration }
+        Self { gradient, cost: model.cost(), pairs: Vec::new(), origin }
     }
 
     /// Tells whether there is no room to learn more.

@@ -11,7 +11,7 @@ use argmin::kv;
 use crate::Error;
 use crate::checkpoint::Saved;
 use crate::gradient::Gradient;
-use crate::kept_model::KeptModel;
+use crate::kept_model::{KeptModel, Origin};
 use crate::linearization::{Failure, Linearization, Threads};
 use crate::options::SolveOptions;
 use crate::problem::{Problem, Scratch};
@@ -32,6 +32,11 @@ const MOST_DAMPING: f64 = 1e12;
 /// the least share of its own prediction that the last one must have kept.
 const KEEP_BELOW: f64 = 1e-4;
 const KEEP_GAIN: f64 = 0.75;
+
+/// Steps that promise more than this share of what the one before promised come near the optimum slowly: what Gauss and
+/// Newton leave out counts, and is learnt along a model that is kept if the last step kept this share of its prediction.
+const SLOW_SHARE: f64 = 0.1;
+const SLOW_GAIN: f64 = 0.3;
 
 /// A root mean square residual below this is met exactly, in units of sigma.
 const EXACT_RMS: f64 = 1e-11;
@@ -71,6 +76,8 @@ pub(crate) struct LevenbergMarquardt<'a> {
     pub growth: f64,
     /// The gain of the last step, in shares of its prediction.
     pub gain: f64,
+    /// The decrease that the last step of a model of its own promised.
+    pub promised: f64,
     /// Where the structure was made; nothing if that is where the problem starts.
     pub support_values: Vec<f64>,
     gradient: Gradient,
@@ -98,6 +105,7 @@ impl<'a> LevenbergMarquardt<'a> {
             scratch: Scratch::default(),
             trial_values: Vec::with_capacity(values.len()),
             gain: 0.0,
+            promised: f64::MAX,
             support_values: Vec::new(),
             gradient: Gradient::new(&structure),
             kept: None,
@@ -136,17 +144,17 @@ impl<'a> LevenbergMarquardt<'a> {
 
     /// Goes on where a checkpoint was written.
     pub(crate) fn resume(&mut self, problem: &Problem<'_>, saved: &Saved) -> Result<(), Error> {
-        (self.damping, self.growth, self.gain) = (saved.damping, saved.growth, saved.gain);
+        (self.damping, self.growth) = (saved.damping, saved.growth);
+        (self.gain, self.promised) = (saved.gain, saved.promised);
         if !saved.support_values.is_empty() {
             self.find_supports(problem, &saved.support_values);
         }
         self.move_to(problem, &saved.values)
     }
 
-    /// Returns where the model that is kept was made, and how many steps have been taken since, if one is.
-    pub(crate) fn origin(&self) -> Option<(&[f64], u64)> {
-        let kept = self.kept.as_ref()?;
-        Some((&kept.origin, (self.counters.iterations - kept.first_iteration) as u64))
+    /// Returns where the model that is kept was made, if one is.
+    pub(crate) fn origin(&self) -> Option<&Origin> {
+        Some(&self.kept.as_ref()?.origin)
     }
 
     /// Returns the cost where the search is.
@@ -255,8 +263,13 @@ impl<'a> LevenbergMarquardt<'a> {
                     return Err(Stop::PredictedDecrease { predicted, below });
                 }
                 self.counters.evaluations += 1;
-                if self.gain > KEEP_GAIN && predicted <= KEEP_BELOW * cost && structure.is_worth_keeping() {
-                    let mut kept = KeptModel::new(structure, model, values, self.counters.iterations);
+                let promised = std::mem::replace(&mut self.promised, predicted);
+                let is_slow = predicted > SLOW_SHARE * promised && self.gain > SLOW_GAIN;
+                let is_cheaper = structure.is_worth_keeping() && self.gain > KEEP_GAIN;
+                if predicted <= KEEP_BELOW * cost && (is_slow || is_cheaper) {
+                    let origin =
+                        Origin { values: values.clone(), iterations: self.counters.iterations, promised };
+                    let mut kept = KeptModel::new(structure, model, origin);
                     if gradient.evaluate(problem, structure, trial_values, threads, scratch)
                         && kept.accept(&steps.step, predicted, gradient.cost, &gradient.entries)
                     {
