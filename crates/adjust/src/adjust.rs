@@ -1,7 +1,9 @@
 //! Adjusts a scene to a dataset: passes of solving and judging until the set of outliers stands.
 
-use boresight_data::{Calibration, Dataset, Scene};
-use boresight_solver::{Solution, SolveOptions, solve_observed};
+use std::collections::BTreeMap;
+
+use boresight_data::{Calibration, Dataset, Scene, SolveRecord};
+use boresight_solver::{Solution, SolveOptions, Term as _, solve_observed};
 
 use crate::error::Error;
 use crate::options::{AdjustOptions, Loss, Observer, Rejection};
@@ -11,20 +13,27 @@ use crate::rig_problem::RigProblem;
 use crate::stand_in::nearer_seed;
 use crate::suspects::{leave_out, suspects};
 
-/// The robust pass stops early: it only has to come near enough to tell outliers.
-const ROBUST_DECREASE_BELOW: f64 = 1e-2;
+/// Passes after which observations are judged again stop at a predicted decrease below this share of the cost, as the
+/// last step is taken all the same: the first comes from far, the others need only be near enough to judge by.
+const ROUGH_SHARES: [f64; 2] = [1e-1, 1e-2];
 
 /// Cauchy's c of the robust pass, in robust sigmas: 95 % efficient on Gaussian residuals.
 const ROBUST_LOSS_SIGMAS: f64 = 2.385;
 
-/// Rounds in which views are left out as a whole; the worst can hide others from the first.
-const MAX_SUSPECT_ROUNDS: usize = 3;
+/// Where views are judged as a whole, the robust passes stop at this predicted decrease, in residual variances.
+const ROBUST_DECREASE_BELOW: f64 = 1e-2;
+
+/// Rounds in which views are judged as a whole, after a first look; the worst can hide others from the first.
+const MAX_SUSPECT_ROUNDS: usize = 4;
 
 /// Passes after which the set of outliers is taken as it is; it settles in two or three.
 const MAX_PASSES: usize = 12;
 
 /// The first damping where poses are nearly right: the surface of a lens is then all but linear.
 const NEARER_DAMPING: f64 = 1e-8;
+
+/// The first damping where all is nearly right: the long valleys of rational lenses are walked along rather than down into.
+const WARM_DAMPING: f64 = 1e-10;
 
 /// Returns the calibration that explains `dataset` best, starting from `seed`.
 ///
@@ -36,20 +45,65 @@ pub fn adjust(
     options: &AdjustOptions,
     observer: Option<Observer>,
 ) -> Result<Calibration, Error> {
+    let (rig, outcome) = settled(dataset, seed, options, observer)?;
+    report(dataset, seed, &rig, outcome, options)
+}
+
+/// Where an adjustment settled, without a report.
+#[derive(Clone, Debug)]
+pub struct Settled {
+    /// The scene there.
+    pub scene: Scene,
+    /// The sum of squares, priors included.
+    pub cost: f64,
+    /// The observations that are not used, each as its view and its place there; all those of a view that is left out.
+    pub rejected: Vec<(usize, usize)>,
+    /// The views that were left out as a whole, each with the reason.
+    pub left_out: BTreeMap<usize, String>,
+    /// How the search went.
+    pub solve: SolveRecord,
+}
+
+/// Solves and judges outliers as [`adjust`] does, without covariance or report.
+pub fn settle(dataset: &Dataset, seed: &Scene, options: &AdjustOptions) -> Result<Settled, Error> {
+    let (rig, outcome) = settled(dataset, seed, options, None)?;
+    let mut rejected = Vec::new();
+    for (term_idx, (view_idx, _)) in rig.views.iter().enumerate() {
+        let kept = outcome.kept.as_ref().map(|kept| &kept[term_idx]);
+        let places = 0..dataset.views[*view_idx].observations.len();
+        rejected.extend(places.filter(|&i| kept.is_some_and(|kept| !kept[i])).map(|i| (*view_idx, i)));
+    }
+    for view_idx in outcome.left_out.keys() {
+        rejected.extend((0..dataset.views[*view_idx].observations.len()).map(|i| (*view_idx, i)));
+    }
+    rejected.sort_unstable();
+    let scene = rig.scene(dataset, seed, rig.parameters.values());
+    let solve = outcome.record(outcome.cost);
+    Ok(Settled { scene, cost: outcome.cost, rejected, left_out: outcome.left_out, solve })
+}
+
+/// Solves and judges until the set of outliers stands.
+fn settled(
+    dataset: &Dataset,
+    seed: &Scene,
+    options: &AdjustOptions,
+    observer: Option<Observer>,
+) -> Result<(RigProblem, Outcome), Error> {
     let mut rig = RigProblem::new(dataset, seed, options)?;
     let mut passes = Passes { dataset, options, observer, outcome: Outcome::default() };
     match options.rejection {
         Rejection::None => {
             rig.views.iter_mut().for_each(|(_, term)| term.set_loss(options.loss));
-            passes.solve(&mut rig, options.decrease_below, true)?;
+            passes.solve(&mut rig, &solve_options(options, options.decrease_below, true))?;
         }
         Rejection::Beyond { sigmas } => {
-            passes.solve_robustly(&mut rig)?;
-            passes.leave_out_suspects(&mut rig, sigmas)?;
-            passes.reject_until_settled(&mut rig, sigmas)?;
+            let lengths = lengths(dataset, &rig);
+            let lengths = passes.solve_robustly(&mut rig, lengths, Effort::Rough)?;
+            let lengths = passes.leave_out_suspects(&mut rig, lengths, sigmas)?;
+            passes.reject_until_settled(&mut rig, lengths, sigmas)?;
         }
     }
-    report(dataset, seed, &rig, passes.outcome, options)
+    Ok((rig, passes.outcome))
 }
 
 /// Where a single solve ended.
@@ -84,6 +138,15 @@ pub fn optimize(dataset: &Dataset, seed: &Scene, options: &AdjustOptions) -> Res
     Ok(Optimum { scene, solution })
 }
 
+/// How near a robust pass comes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Effort {
+    /// Near enough to tell single outliers, most of which are far off.
+    Rough,
+    /// Near enough to tell views.
+    Fine,
+}
+
 /// What goes on from pass to pass.
 struct Passes<'a> {
     dataset: &'a Dataset,
@@ -93,68 +156,117 @@ struct Passes<'a> {
 }
 
 impl Passes<'_> {
-    /// Comes near the optimum with a loss that outliers cannot bend.
-    fn solve_robustly(&mut self, rig: &mut RigProblem) -> Result<(), Error> {
+    /// Comes near the optimum with a loss that outliers cannot bend, from where residuals have these lengths, and
+    /// returns their lengths there.
+    fn solve_robustly(
+        &mut self,
+        rig: &mut RigProblem,
+        mut now: Lengths,
+        effort: Effort,
+    ) -> Result<Lengths, Error> {
         // The seed's residuals are far larger than the noise; twice the loss narrows down on it.
-        for _ in 0..2 {
-            let scales = lengths(self.dataset, rig).scales(self.dataset);
+        for (pass, share) in ROUGH_SHARES.into_iter().enumerate() {
+            let scales = now.scales(self.dataset);
             for (view_idx, term) in &mut rig.views {
                 let scale = scales[self.dataset.views[*view_idx].camera.0 as usize];
                 term.set_loss(Loss::Cauchy { sigmas: (ROBUST_LOSS_SIGMAS * scale).max(1e-9) });
             }
-            self.solve(rig, ROBUST_DECREASE_BELOW, false)?;
+            let mut options = match effort {
+                Effort::Rough => self.rough(rig, share),
+                Effort::Fine => solve_options(self.options, ROBUST_DECREASE_BELOW, false),
+            };
+            if pass == 0 {
+                options.first_damping = SolveOptions::default().first_damping;
+            }
+            self.solve(rig, &options)?;
+            now = lengths(self.dataset, rig);
         }
-        Ok(())
+        Ok(now)
     }
 
     /// Leaves out the views that do not go with the others, and comes near the optimum again without them.
-    fn leave_out_suspects(&mut self, rig: &mut RigProblem, sigmas: f64) -> Result<(), Error> {
-        for _ in 0..MAX_SUSPECT_ROUNDS {
-            let lengths = lengths(self.dataset, rig);
-            let scales = lengths.scales(self.dataset);
-            let reasons = suspects(self.dataset, rig, &lengths, &scales, sigmas);
+    fn leave_out_suspects(
+        &mut self,
+        rig: &mut RigProblem,
+        mut now: Lengths,
+        sigmas: f64,
+    ) -> Result<Lengths, Error> {
+        for round in 0..MAX_SUSPECT_ROUNDS {
+            let reasons = suspects(self.dataset, rig, &now, &now.scales(self.dataset), sigmas);
             if reasons.is_empty() {
                 break;
             }
+            // Which of several views is to blame is told at the robust optimum alone.
+            if round == 0 {
+                now = self.solve_robustly(rig, now, Effort::Fine)?;
+                continue;
+            }
             leave_out(rig, self.dataset, &reasons);
             self.outcome.left_out.extend(reasons);
-            self.solve_robustly(rig)?;
+            let without = lengths(self.dataset, rig);
+            now = self.solve_robustly(rig, without, Effort::Fine)?;
         }
-        Ok(())
+        Ok(now)
     }
 
     /// Solves and judges until no observation is rejected or taken back any more.
-    fn reject_until_settled(&mut self, rig: &mut RigProblem, sigmas: f64) -> Result<(), Error> {
+    fn reject_until_settled(
+        &mut self,
+        rig: &mut RigProblem,
+        mut now: Lengths,
+        sigmas: f64,
+    ) -> Result<(), Error> {
         rig.views.iter_mut().for_each(|(_, term)| term.set_loss(self.options.loss));
+        let [_, share] = ROUGH_SHARES;
+        let rough = self.rough(rig, share);
         let mut kept: Option<Vec<Vec<bool>>> = None;
+        let mut is_exact = false;
         for pass in 0..MAX_PASSES {
-            let lengths = lengths(self.dataset, rig);
-            let scales = lengths.scales(self.dataset);
-            let now = lengths.kept(self.dataset, &scales, sigmas);
-            if kept.as_ref() == Some(&now) {
+            let scales = now.scales(self.dataset);
+            let judged = now.kept(self.dataset, &scales, sigmas);
+            let stands = kept.as_ref() == Some(&judged);
+            if stands && is_exact {
                 self.outcome.settled = true;
                 break;
             }
-            for ((view_idx, term), kept) in rig.views.iter_mut().zip(&now) {
-                term.set_kept(&self.dataset.views[*view_idx].observations, |idx| kept[idx]);
+            if !stands {
+                for ((view_idx, term), kept) in rig.views.iter_mut().zip(&judged) {
+                    term.set_kept(&self.dataset.views[*view_idx].observations, |idx| kept[idx]);
+                }
+                self.outcome.limits_sigmas = scales.iter().map(|scale| sigmas * scale).collect();
+                kept = Some(judged);
             }
-            self.outcome.limits_sigmas = scales.iter().map(|scale| sigmas * scale).collect();
-            kept = Some(now);
-            self.solve(rig, self.options.decrease_below, pass + 1 == MAX_PASSES)?;
+            // What is judged again need not be exact before it stands.
+            is_exact |= stands || pass + 1 == MAX_PASSES;
+            if is_exact {
+                let decrease_below = self.options.decrease_below;
+                let exact = solve_options(self.options, decrease_below, pass + 1 == MAX_PASSES);
+                self.solve(rig, &SolveOptions { first_damping: WARM_DAMPING, ..exact })?;
+            } else {
+                self.solve(rig, &rough)?;
+            }
             if !self.outcome.stop.is_some_and(|stop| stop.is_converged()) {
                 break;
             }
+            now = lengths(self.dataset, rig);
         }
         self.outcome.kept = kept;
         Ok(())
     }
 
+    /// Returns the options of a solve that another will follow.
+    fn rough(&self, rig: &RigProblem, share: f64) -> SolveOptions {
+        // In residual variances, of which there are as many as rows.
+        let n_rows: usize = rig.views.iter().map(|(_, term)| term.row_count()).sum();
+        let options = solve_options(self.options, share * n_rows as f64, false);
+        SolveOptions { first_damping: WARM_DAMPING, ..options }
+    }
+
     /// Solves once and moves the rig's values to the solution.
-    fn solve(&mut self, rig: &mut RigProblem, decrease_below: f64, is_last: bool) -> Result<(), Error> {
-        let options = solve_options(self.options, decrease_below, is_last);
+    fn solve(&mut self, rig: &mut RigProblem, options: &SolveOptions) -> Result<(), Error> {
         let solution = {
             let problem = rig.problem()?;
-            solve_observed(&problem, &options, self.observer.clone()).map_err(|error| named(error, rig))?
+            solve_observed(&problem, options, self.observer.clone()).map_err(|error| named(error, rig))?
         };
         self.outcome.add(&solution);
         rig.parameters.set_values(&solution.values);
@@ -191,13 +303,7 @@ pub(crate) fn named(error: boresight_solver::Error, rig: &RigProblem) -> Error {
 fn lengths(dataset: &Dataset, rig: &RigProblem) -> Lengths {
     let views = rig.views.iter().map(|(view_idx, term)| {
         let observations = &dataset.views[*view_idx].observations;
-        let predictions = term.predict(rig.parameters.values());
-        let length = |(prediction, observation): (Option<[f64; 2]>, &boresight_data::Observation)| {
-            prediction.map_or(f64::INFINITY, |[u, v]| {
-                (u - observation.pixel[0]).hypot(v - observation.pixel[1]) / observation.sigma_px
-            })
-        };
-        (*view_idx, predictions.into_iter().zip(observations).map(length).collect())
+        (*view_idx, term.lengths(rig.parameters.values(), observations))
     });
     Lengths { views: views.collect() }
 }

@@ -27,7 +27,7 @@ mod suspects;
 mod test_numbers;
 mod touch;
 
-pub use adjust::{Optimum, adjust, optimize};
+pub use adjust::{Optimum, Settled, adjust, optimize, settle};
 pub use chain::{Chain, Link};
 pub use error::Error;
 pub use leave_one_out::{HeldOut, SightErrors, leave_one_out, sight_errors};

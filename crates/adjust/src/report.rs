@@ -41,6 +41,19 @@ impl Outcome {
         self.passes += 1;
         self.cost = solution.cost;
     }
+
+    /// Returns how the search went, with the cost that it led to.
+    pub(crate) fn record(&self, chi2: f64) -> SolveRecord {
+        let stop = self.stop.unwrap_or(Stop::NotStarted);
+        SolveRecord {
+            chi2,
+            iterations: self.iterations,
+            evaluations: self.evaluations,
+            passes: self.passes,
+            stop: stop.to_string(),
+            converged: stop.is_converged(),
+        }
+    }
 }
 
 /// Returns the calibration that the rig's values amount to.
@@ -117,7 +130,6 @@ pub(crate) fn report(
         }));
     }
     let (uncertainty, costs) = uncertainty(dataset, rig, options)?;
-    let stop = outcome.stop.unwrap_or(Stop::NotStarted);
     let regularization = boresight_data::Regularization {
         kind: match options.regularization {
             Regularization::None => "none",
@@ -138,14 +150,7 @@ pub(crate) fn report(
         uncertainty,
         rejected,
         regularization,
-        solve: SolveRecord {
-            chi2: costs.map_or(outcome.cost, |[observations, priors]| observations + priors),
-            iterations: outcome.iterations,
-            evaluations: outcome.evaluations,
-            passes: outcome.passes,
-            stop: stop.to_string(),
-            converged: stop.is_converged(),
-        },
+        solve: outcome.record(costs.map_or(outcome.cost, |[observations, priors]| observations + priors)),
         held_out: None,
         provenance: Provenance::default(),
     })

@@ -4,6 +4,7 @@
 //! mapped to each link of the chain by its adjoint; see section 6 of the design. J is never formed:
 //! rows live in scratch as long as it takes to multiply them.
 
+mod lengths;
 mod local;
 mod row_lens;
 
