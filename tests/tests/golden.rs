@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test may panic, and says what it measured")]
 
 mod golden {
+    mod exact_uncertainty;
     mod hand_eye;
     mod monte_carlo;
     mod mrcal_problems;

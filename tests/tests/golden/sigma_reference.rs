@@ -13,7 +13,7 @@ use boresight_tests::opencv_sets::read_corners;
 use boresight_validate::findings;
 
 /// A pixel with its derivatives by the point and by the lens parameters after the core.
-struct Linearize<'a>(&'a [f64], [f64; 3]);
+pub(super) struct Linearize<'a>(pub(super) &'a [f64], pub(super) [f64; 3]);
 
 impl ModelVisitor for Linearize<'_> {
     type Output = Option<([f64; 2], [[f64; 3]; 2], [Vec<f64>; 2])>;
