@@ -3,12 +3,14 @@
 
     make_problem.py convert PROBLEM.npz OUT.bin
     make_problem.py make OUT.npz --cameras 4 --frames 500 [--board 10] [--seed 1] [--knots 30 18 120]
+    make_problem.py pack ARRAYS.json OUT.npz
 
 The npz keys are those of the mrcal conformance problems (see README.md); the binary is described at
-the head of ceres/ba.cpp. Needs numpy only.
+the head of ceres/ba.cpp; `pack` takes what tests/examples/make_problem.rs prints. Needs numpy only.
 """
 
 import argparse
+import json
 import struct
 import sys
 
@@ -134,6 +136,21 @@ def make(n_cameras, n_frames, n_corners, seed, knots):
     }
 
 
+def pack(arrays):
+    """Returns a problem from its arrays as lists."""
+    corners, (width, height) = np.array(arrays["observations"]), arrays["board_wh"]
+    return {
+        **arrays,
+        "imagersizes": np.array(arrays["imagersizes"], np.int32),
+        "observations": corners.reshape(len(corners), height, width, 3),
+        "indices_frame_camintrinsics_camextrinsics": np.array(
+            arrays["indices_frame_camintrinsics_camextrinsics"], np.int32
+        ),
+        "extrinsics_rt_fromref_seed": np.array(arrays["extrinsics_rt_fromref_seed"]).reshape(-1, 6),
+        "extrinsics_rt_fromref_true": np.array(arrays["extrinsics_rt_fromref_true"]).reshape(-1, 6),
+    }
+
+
 def convert(problem, path):
     """Writes a problem in the layout of ceres/ba.cpp."""
     if str(problem["lensmodel"]) != "LENSMODEL_OPENCV8":
@@ -176,8 +193,14 @@ def main():
     command.add_argument("--board", type=int, default=10, help="inner corners along each side")
     command.add_argument("--seed", type=int, default=1)
     command.add_argument("--knots", type=int, nargs=3, help="columns, rows, degrees: a splined lens to be found")
+    command = commands.add_parser("pack", help="arrays in JSON, as synthetic's, to npz")
+    command.add_argument("arrays")
+    command.add_argument("out")
     args = parser.parse_args()
-    if args.command == "convert":
+    if args.command == "pack":
+        with open(args.arrays, encoding="utf-8") as arrays:
+            np.savez_compressed(args.out, **pack(json.load(arrays)))
+    elif args.command == "convert":
         with np.load(args.problem) as problem:
             convert(problem, args.out)
     else:

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, bail};
 
 use crate::bench::measure::REPEAT;
-use crate::process::{command, reference_environment, root, run, succeeds, target};
+use crate::process::{cargo, command, output, reference_environment, root, run, succeeds, target};
 
 /// Where the conformance data are, when they are beside the project.
 const CONFORMANCE: &str = "../shared/conformance/mrcal/problems";
@@ -17,8 +17,9 @@ const PROBLEMS: &[(&str, usize, usize)] = &[("1x50", 1, 50), ("2x200", 2, 200), 
 /// data. It has 14x14 boards; the core is held.
 const SPLINED: (&str, &str, &str) = ("1x200 splined", "c1_f200_b14_splined", "splined3:30x18:120deg");
 
-/// The same for a pair of cameras, which is made: label, cameras, frames, and mrcal's columns, rows and degrees.
-const SPLINED_PAIR: (&str, usize, usize, [&str; 3]) = ("2x200 splined", 2, 200, ["30", "18", "120"]);
+/// The same for a pair of cameras, which our `synthetic` makes: label, and cameras, frames, corners along each side of the
+/// board, columns, rows and degrees of the spline.
+const SPLINED_PAIR: (&str, [&str; 6]) = ("2x200 splined", ["2", "200", "14", "30", "18", "120"]);
 
 /// A problem on disk.
 #[derive(Clone, Debug)]
@@ -70,12 +71,21 @@ pub(crate) fn prepare(folder: Option<PathBuf>) -> anyhow::Result<Vec<Problem>> {
     } else {
         eprintln!("bench: {label} is left out, {} does not exist", npz.display());
     }
-    let (label, n_cameras, n_frames, knots) = SPLINED_PAIR;
+    let (label, recipe) = SPLINED_PAIR;
     let npz = work.join("made_splined_pair.npz");
-    let counts = ["--cameras", &n_cameras.to_string(), "--frames", &n_frames.to_string(), "--board", "14"];
-    run(make_problem(&python).arg("make").arg(&npz).args(counts).arg("--knots").args(knots))?;
-    problems.push(Problem { label, n_cameras, npz, bin: None, lens, repeat: REPEAT_LONG });
+    synthesize(&python, &recipe, &npz)?;
+    problems.push(Problem { label, n_cameras: 2, npz, bin: None, lens, repeat: REPEAT_LONG });
     Ok(problems)
+}
+
+/// Makes a problem by `synthetic`.
+fn synthesize(python: &Path, recipe: &[&str], npz: &Path) -> anyhow::Result<()> {
+    let build = ["build", "--release", "--package", "boresight-tests", "--example", "make_problem"];
+    run(cargo().args(build)).context("building the program that makes problems")?;
+    let arrays = npz.with_extension("json");
+    let made = output(command(target().join("release/examples/make_problem")).args(recipe))?;
+    std::fs::write(&arrays, made).with_context(|| arrays.display().to_string())?;
+    run(make_problem(python).arg("pack").arg(&arrays).arg(npz))
 }
 
 fn make_problem(python: &Path) -> std::process::Command {
