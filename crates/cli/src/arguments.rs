@@ -50,6 +50,7 @@ pub(crate) enum Command {
     /// Turn pixels (u v, one per line of stdin) into unit directions (x y z)
     Unproject(ProjectArguments),
     /// Find points (x y z with sigmas, in metres) from the pixels of two or more cameras, one line of stdin each
+    #[command(visible_alias = "triangulate")]
     Stereo(StereoArguments),
     /// Relate camera and robot
     Robot {
