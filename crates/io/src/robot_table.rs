@@ -73,6 +73,11 @@ impl RobotTable {
         Ok(table)
     }
 
+    /// Returns the names of the columns, in their order.
+    pub fn columns(&self) -> &[String] {
+        &self.columns
+    }
+
     fn fields(&self, line: &str) -> Vec<String> {
         let separator = if self.decimal_comma { ';' } else { ',' };
         line.split(separator).map(|field| field.trim().to_owned()).collect()

@@ -197,9 +197,20 @@ impl Reader {
         const NAMES: [&str; 7] = ["j1", "j2", "j3", "j4", "j5", "j6", "j7"];
         let (bytes, file) = self.bytes(name, None)?;
         let table = RobotTable::from_bytes(&file, &bytes)?;
-        let present: Vec<&'static str> = NAMES.into_iter().filter(|name| table.has(name)).collect();
-        // Without any, the first is asked for, so that the error says what is missing.
-        let names = if present.is_empty() { &NAMES[..1] } else { &present };
+        let is_joint = |column: &str| {
+            let mut units = column.strip_suffix("_rad").or(column.strip_suffix("_deg")).into_iter();
+            units.any(|name| NAMES.contains(&name))
+        };
+        if let Some(column) = table.columns().iter().find(|name| name.starts_with('j') && !is_joint(name)) {
+            return Err(Error::Malformed {
+                place: Place::file(&file),
+                found: format!("there is a column `{column}`"),
+                need: "joints are in columns j1_deg or j1_rad, j2_deg or j2_rad, and so on to j7",
+            });
+        }
+        // All up to the last that is there are asked for, and of none the first, so that the error says what is missing.
+        let last = NAMES.iter().rposition(|name| table.has(name)).unwrap_or(0);
+        let names = &NAMES[..=last];
         let columns: Vec<Vec<Option<f64>>> =
             names.iter().map(|name| table.angles_rad(name)).collect::<Result<_, _>>()?;
         let reading = |row: usize| {

@@ -102,7 +102,11 @@ pub(crate) fn gray_of_raw(raw: &RawImage<'_>) -> Result<GrayImage, MessageError>
     let rows = raw.data.chunks(step).take(height as usize).map(|row| &row[..row_bytes]);
     let size = [width, height];
     let pixels = match depth {
-        Depth::One => GrayPixels::Eight(grey_values(rows.flatten().copied().collect(), source, size)),
+        Depth::One => {
+            let mut numbers = Vec::with_capacity(row_bytes * height as usize);
+            rows.for_each(|row| numbers.extend_from_slice(row));
+            GrayPixels::Eight(grey_values(numbers, source, size))
+        }
         Depth::Two => {
             let number = if raw.is_big_endian { u16::from_be_bytes } else { u16::from_le_bytes };
             let numbers =

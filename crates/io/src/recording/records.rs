@@ -97,7 +97,9 @@ pub(crate) fn read_records<R: Read + Seek>(file: R, listener: &mut dyn Listener)
             damages.push(Damage::CutOff { at: end });
             break;
         }
-        file.seek(SeekFrom::Start(at))?;
+        // Seeking from where it is keeps what is in the buffer.
+        let here = file.stream_position()?;
+        file.seek_relative(at.wrapping_sub(here) as i64)?;
         let mut prefix = [0; PREFIX as usize];
         file.read_exact(&mut prefix)?;
         let [kind, length @ ..] = prefix;
@@ -107,7 +109,9 @@ pub(crate) fn read_records<R: Read + Seek>(file: R, listener: &mut dyn Listener)
         }
         let next = (at + PREFIX).checked_add(length).filter(|next| *next <= end);
         let later = || chunks.iter().copied().find(|chunk| *chunk >= at + PREFIX);
-        if !is_no_kind(kind) && (next.is_some() || kind == op::CHUNK) {
+        // Of other kinds nothing is needed, and an attachment may be larger than any record that is read.
+        let is_needed = matches!(kind, op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK);
+        if is_needed && (next.is_some() || kind == op::CHUNK) {
             // A chunk that is longer than the file is no longer than the place of the next one allows.
             let next = next.or_else(later);
             if let Some(next) = next {
