@@ -135,6 +135,7 @@ fn scene(arrays: &Npz, suffix: &str, model: Model, dataset: &Dataset) -> Scene {
                 0 => Pose::identity(),
                 _ => pose(&cam_from_ref[6 * (idx - 1)..6 * idx]),
             },
+            time_offset_s: 0.0,
         })
     });
     Scene {
@@ -150,6 +151,7 @@ fn scene(arrays: &Npz, suffix: &str, model: Model, dataset: &Dataset) -> Scene {
             .chunks_exact(6)
             .map(|rt| Some(pose(rt)))
             .collect(),
+        ..Scene::default()
     }
 }
 

@@ -1,5 +1,6 @@
 //! A chain of poses from target to camera, and how each link moves its end.
 
+use boresight_data::FrameMotion;
 use boresight_geometry::{Matrix3, Pose, Vector3};
 use boresight_solver::{BlockId, Links, Values};
 
@@ -12,6 +13,22 @@ pub enum Link {
     Inverse(BlockId),
     /// A pose that is known.
     Known(Pose),
+    /// What moves while a camera's image is late, by so many seconds as the block says, see [`clock`].
+    Late(BlockId, FrameMotion),
+}
+
+/// The column of a [`Link::Late`]'s block.
+pub(crate) const CLOCK_COLUMN: usize = 3;
+
+/// Returns the value of a [`Link::Late`]'s block: chains have poses, so that the seconds stand where a pose has the x of
+/// its translation, which adds up as numbers do while the other columns are held.
+pub(crate) fn clock(late_s: f64) -> Pose {
+    Pose::new(Pose::identity().rotation, Vector3::new(late_s, 0.0, 0.0))
+}
+
+/// Returns the seconds of a [`Link::Late`]'s block.
+pub(crate) fn seconds(values: Values<'_>, block: BlockId) -> f64 {
+    values.pose(block).translation.x
 }
 
 /// The factors of `cam_from_target`. No block may occur twice.
@@ -25,7 +42,7 @@ impl Chain {
     /// Returns the blocks of the chain, in its order.
     pub fn blocks(&self) -> impl Iterator<Item = BlockId> + '_ {
         self.links.iter().filter_map(|link| match link {
-            Link::Block(block) | Link::Inverse(block) => Some(*block),
+            Link::Block(block) | Link::Inverse(block) | Link::Late(block, _) => Some(*block),
             Link::Known(_) => None,
         })
     }
@@ -60,6 +77,15 @@ impl Chain {
                 },
                 // A (exp(d) X)⁻¹ = A X⁻¹ exp(-d) = exp(-Ad(A X⁻¹) d) A X⁻¹.
                 Link::Inverse(_) => links.push_adjoint(&next.0, &next.1, -1.0),
+                // A exp(d J) X = exp(Ad(A) J d) A X.
+                Link::Late(block, motion) => {
+                    let rate = motion.rate(seconds(values, *block));
+                    let rate = match &prefix {
+                        None => rate,
+                        Some((r, t)) => Pose::from_matrix(r, *t).adjoint() * rate,
+                    };
+                    links.push_along(CLOCK_COLUMN, &rate);
+                }
                 Link::Known(_) => {}
             }
             prefix = Some(next);
@@ -74,6 +100,7 @@ impl Link {
             Link::Block(block) => values.pose(*block),
             Link::Inverse(block) => values.pose(*block).inverse(),
             Link::Known(pose) => *pose,
+            Link::Late(block, motion) => motion.after(seconds(values, *block)),
         }
     }
 }
@@ -122,6 +149,37 @@ mod tests {
                 // One-sided differences are good to the step.
                 assert!((difference - adjoint.column(column)).norm() < 1e-5, "{which} {column}");
             }
+        }
+    }
+
+    #[test]
+    fn lateness_moves_the_target_along_its_motion() {
+        let turned = Pose::from_rodrigues(Vector3::new(0.4, -0.2, 0.7), Vector3::new(0.3, -0.1, 0.2));
+        let motion = FrameMotion {
+            velocity: Vector6::new(0.5, -0.3, 0.2, 0.4, 0.1, -0.2),
+            acceleration: Vector6::new(1.0, 0.5, -2.0, 0.3, -0.6, 0.2),
+        };
+        let linearized = |late_s: f64| {
+            let mut parameters = Parameters::default();
+            let [camera, frame] =
+                [turned, turned.inverse()].map(|pose| parameters.add_pose(&pose, Elimination::Reduced));
+            let late = parameters.add_pose(&clock(late_s), Elimination::Reduced);
+            let links = vec![Link::Block(camera), Link::Late(late, motion), Link::Block(frame)];
+            let chain = Chain { links };
+            let mut links = Links::default();
+            chain.linearize(parameters.values(), &mut links);
+            let map = links.maps()[1].unwrap().matrix();
+            (chain.compose(parameters.values()), map)
+        };
+        let (pose, map) = linearized(0.02);
+        assert!((pose * (turned * motion.after(0.02) * turned.inverse()).inverse()).log().norm() < 1e-14);
+        let step_s = 1e-5;
+        let ahead =
+            (linearized(0.02 + step_s).0 * linearized(0.02 - step_s).0.inverse()).log() / (2.0 * step_s);
+        for (row, expected) in map.iter().zip(ahead.iter()) {
+            // Central differences are good to 1e-9 here, the rate's series to 1e-6.
+            assert!((row[CLOCK_COLUMN] - expected).abs() < 2e-6, "{row:?} {expected}");
+            assert!((0..6).all(|column| column == CLOCK_COLUMN || row[column] == 0.0));
         }
     }
 }

@@ -25,6 +25,7 @@ mod stand_in;
 mod suspects;
 #[cfg(test)]
 mod test_numbers;
+mod time_offset;
 mod touch;
 
 pub use adjust::{Optimum, Settled, adjust, optimize, settle};
@@ -41,6 +42,7 @@ pub use reprojection::{Layouts, Reprojection, TargetPoints};
 pub use rig_problem::mrcal22_rows;
 pub use robot_noise::{EstimatedNoise, estimate_robot_noise};
 pub use sighted_point::{Sight, SightedPoint, SightedPointError, sighted_point};
+pub use time_offset::{TimeOffset, Timed, adjust_times};
 pub use touch::{
     Heights, PlaneFunction, Position, TipKnowledge, Touch, TouchError, TouchFit, TouchLens, TouchOptions,
     TouchedPlane, TriedModel, plane_columns, plane_position, plane_spread, touched_plane,

@@ -111,6 +111,7 @@ fn plain(parameter: &str) -> String {
         "tz_m" => "distance",
         "shape0_m" => "bend along x",
         "shape1_m" => "bend along y",
+        "time_offset_s" => "time offset",
         other => other,
     };
     word.to_owned()
@@ -121,7 +122,9 @@ fn remedy(names: &[&str]) -> &'static str {
     let ends_in =
         |ends: &[&str]| names.iter().any(|name| ends.contains(&name.rsplit('.').next().unwrap_or(name)));
     let has_pose = ends_in(&["rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m"]);
-    if ends_in(&["fx", "fy"]) || (has_pose && ends_in(&["cx", "cy"])) {
+    if ends_in(&["time_offset_s"]) {
+        "move the board while the cameras look at it together"
+    } else if ends_in(&["fx", "fy"]) || (has_pose && ends_in(&["cx", "cy"])) {
         "tilt the board by 20 to 45 degrees about both axes"
     } else if ends_in(&["cx", "cy", "p1", "p2"]) {
         "tilt the board, and roll it by 90 degrees between views"

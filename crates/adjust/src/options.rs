@@ -20,6 +20,9 @@ pub struct AdjustOptions {
     pub regularization: Regularization,
     /// What is held at its seed. Empty estimates all that the data constrain.
     pub holds: Vec<Hold>,
+    /// Cameras whose `time_offset_s` is estimated; their frames need a motion in the scene. Empty keeps those of the
+    /// scene.
+    pub time_offsets: Vec<CameraId>,
     /// How far the robot's readings are off; `None` takes them as exact.
     pub robot_noise: Option<RobotNoise>,
     /// What is believed beforehand, with its covariance.
@@ -47,6 +50,7 @@ impl Default for AdjustOptions {
             rejection: Rejection::Beyond { sigmas: 4.0 },
             regularization: Regularization::Default,
             holds: Vec::new(),
+            time_offsets: Vec::new(),
             robot_noise: None,
             priors: Vec::new(),
             shares: Vec::new(),

@@ -9,6 +9,7 @@ use boresight_data::{
 use boresight_geometry::Vector3;
 use boresight_solver::{BlockId, Covariance, Solution, SolveOptions, Stop, covariance};
 
+use crate::chain::CLOCK_COLUMN;
 use crate::error::Error;
 use crate::loose::{in_words, loose_directions};
 use crate::motions::motions;
@@ -261,6 +262,7 @@ fn columns(dataset: &Dataset, rig: &RigProblem) -> Vec<(String, (BlockId, usize)
         for (k, name) in POSE_COLUMNS.iter().enumerate() {
             columns.push((format!("{camera}.cam_from_rig.{name}"), (blocks.cam_from_rig, k)));
         }
+        columns.extend(blocks.late.map(|late| (format!("{camera}.time_offset_s"), (late, CLOCK_COLUMN))));
     }
     for (target_id, blocks) in rig.targets.enumerate() {
         let target: &str = target_name(dataset, target_id);

@@ -12,7 +12,7 @@ use boresight_solver::{
     VectorPrior,
 };
 
-use crate::chain::{Chain, Link};
+use crate::chain::{CLOCK_COLUMN, Chain, Link, clock, seconds};
 use crate::error::Error;
 use crate::options::{AdjustOptions, Hold, Prior, Quantity, Regularization, RobotNoise, Share};
 use crate::reprojection::{Layouts, Reprojection, TargetPoints};
@@ -47,6 +47,8 @@ pub(crate) struct RigProblem {
 pub(crate) struct CameraBlocks {
     pub lens: BlockId,
     pub cam_from_rig: BlockId,
+    /// How late its images are, where that is not zero or estimated.
+    pub late: Option<BlockId>,
     pub is_reference: bool,
     pub model: Model,
 }
@@ -81,7 +83,15 @@ impl RigProblem {
                 if is_reference {
                     parameters.hold_all(cam_from_rig);
                 }
-                CameraBlocks { lens, cam_from_rig, is_reference, model: camera.camera.model }
+                let is_estimated = options.time_offsets.contains(&camera_id);
+                let late = (is_estimated || camera.time_offset_s != 0.0).then(|| {
+                    let late = parameters.add_pose(&clock(camera.time_offset_s), Elimination::Reduced);
+                    for column in (0..6).filter(|column| !is_estimated || *column != CLOCK_COLUMN) {
+                        parameters.hold(late, column);
+                    }
+                    late
+                });
+                CameraBlocks { lens, cam_from_rig, late, is_reference, model: camera.camera.model }
             }));
         }
         let mut targets = IdVec::default();
@@ -164,9 +174,11 @@ impl RigProblem {
             let blocks = self.targets[view.target];
             // The reference camera's pose is the identity and held, which the chain can leave out.
             let at_rig = camera.is_reference && rig_camera.cam_from_rig == Pose::identity();
+            let motion = scene.motion.get(view.frame).copied().flatten();
             let links = (!at_rig)
                 .then_some(Link::Block(camera.cam_from_rig))
                 .into_iter()
+                .chain(camera.late.zip(motion).map(|(late, motion)| Link::Late(late, motion)))
                 .chain(to_first)
                 .chain(blocks.first_from_target.map(Link::Block));
             let chain = Chain { links: links.collect() };
@@ -356,6 +368,9 @@ impl RigProblem {
             if let (Some(blocks), Some(camera)) = (blocks, camera) {
                 camera.camera.params = values.vector(blocks.lens).to_vec();
                 camera.cam_from_rig = values.pose(blocks.cam_from_rig);
+                if let Some(late) = blocks.late {
+                    camera.time_offset_s = seconds(values, late);
+                }
             }
         }
         for (blocks, belief) in self.targets.iter().zip(scene.targets.iter_mut()) {

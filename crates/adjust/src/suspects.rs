@@ -338,5 +338,6 @@ pub(crate) fn leave_out(rig: &mut RigProblem, dataset: &Dataset, reasons: &BTree
             rig.parameters.hold_all(blocks.lens);
         }
         rig.parameters.hold_all(blocks.cam_from_rig);
+        blocks.late.into_iter().for_each(|late| rig.parameters.hold_all(late));
     }
 }

@@ -22,6 +22,7 @@ use crate::options::CalibrateOptions;
 use crate::select::select_cameras;
 use crate::shape_choice::{ShapeSelection, choose_shape};
 use crate::shared_lens::{Group, apart, groups, sharers, spread, spread_stated};
+use crate::time_offset;
 use crate::trial::Terms;
 
 /// Who follows a calibration while it runs, and may stop it.
@@ -104,6 +105,11 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
     beliefs.apply(&dataset, &mut seed.scene, &mut adjust_options)?;
     adjust_options.cancel = watch.cancel.clone();
     let mut calibration = adjust(&dataset, &seed.scene, &adjust_options, watch.observer.clone())?;
+    let times = time_offset::look(&dataset, &seed.scene, &calibration, options.time_offset, &adjust_options)?;
+    if let Some(timed) = times.calibration {
+        calibration = timed;
+        adjust_options.time_offsets = dataset.cameras.ids().filter(|id| is_late(&calibration, *id)).collect();
+    }
     say_why(&mut calibration, &dataset, &seed.left_out);
     if calibration.solve.converged && calibration.uncertainty.unavailable.is_none() {
         calibration.held_out = with_threads(options.jobs, || {
@@ -125,6 +131,7 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
     let mut findings = boresight_validate::findings(&dataset, &calibration);
     findings
         .extend(job.findings.iter().filter(|finding| !is_of_other_camera(finding, job, &dataset)).cloned());
+    findings.extend(times.findings);
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     let left_out = seed.left_out.iter().map(|fact| fact.describe(&dataset)).collect();
     let (verdict, adjust) = (verdict(&findings), AdjustOptions { cancel: None, ..adjust_options });
@@ -205,6 +212,11 @@ pub fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) ->
         // Where no threads can be had, the caller's own will do; the result is the same.
         Err(_) => work(),
     }
+}
+
+/// Tells whether a camera's time offset was estimated.
+fn is_late(calibration: &Calibration, id: CameraId) -> bool {
+    calibration.scene.rig.cameras[id].as_ref().is_some_and(|camera| camera.time_offset_s != 0.0)
 }
 
 /// Replaces what the adjustment knows of views that were left out by the seed's own reasons.

@@ -3,6 +3,7 @@
 use crate::hand_eye::{ROBOT_CODES, explain_robot};
 use crate::recording_texts::RECORDING_TEXTS;
 use crate::robot_texts::TEXTS;
+use crate::time_offset::TIME_OFFSET_TEXTS;
 
 /// The codes of findings about the input, which are noticed while reading.
 const OF_INPUT: &[(&str, &str)] = &[
@@ -94,19 +95,27 @@ const OF_INPUT: &[(&str, &str)] = &[
 pub fn explain(code: &str) -> Option<&'static str> {
     let of_input = || OF_INPUT.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
     let of_recording = || RECORDING_TEXTS.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
+    let of_times = || TIME_OFFSET_TEXTS.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
     let of_plane = || TEXTS.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
     boresight_validate::explain(code)
         .or_else(of_input)
         .or_else(|| explain_robot(code))
         .or_else(of_plane)
         .or_else(of_recording)
+        .or_else(of_times)
 }
 
 /// Returns all codes in alphabetical order.
 pub fn codes() -> Vec<&'static str> {
     let mut codes = boresight_validate::codes();
     codes.extend(
-        OF_INPUT.iter().chain(ROBOT_CODES).chain(TEXTS).chain(RECORDING_TEXTS).map(|(code, _)| *code),
+        OF_INPUT
+            .iter()
+            .chain(ROBOT_CODES)
+            .chain(TEXTS)
+            .chain(RECORDING_TEXTS)
+            .chain(TIME_OFFSET_TEXTS)
+            .map(|(code, _)| *code),
     );
     codes.sort_unstable();
     codes

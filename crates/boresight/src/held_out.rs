@@ -175,8 +175,8 @@ pub(crate) fn place_frames(
     scene: &Scene,
     options: &AdjustOptions,
 ) -> Result<Scene, Error> {
-    let holds = all_but_frames(dataset, scene);
-    let options = AdjustOptions { holds, rejection: Rejection::None, ..options.clone() };
+    let (holds, time_offsets) = (all_but_frames(dataset, scene), Vec::new());
+    let options = AdjustOptions { holds, rejection: Rejection::None, time_offsets, ..options.clone() };
     Ok(optimize(dataset, scene, &options)?.scene)
 }
 
@@ -258,11 +258,11 @@ pub(crate) struct Seen<'a> {
 impl<'a> Seen<'a> {
     pub(crate) fn new(dataset: &Dataset, scene: &'a Scene, view: &View) -> Option<Self> {
         let camera = scene.rig.cameras.get(view.camera)?.as_ref()?;
-        let rig_from_first = (*scene.rig_from_target.get(view.frame)?)?;
+        let cam_from_first = scene.cam_from_first(view.camera, view.frame)?;
         let belief = scene.targets.get(view.target)?;
         let first_from_target =
             if view.target == TargetId(0) { Pose::identity() } else { belief.first_from_target };
-        let cam_from_target = camera.cam_from_rig * rig_from_first * first_from_target;
+        let cam_from_target = cam_from_first * first_from_target;
         let target = dataset.targets.get(view.target)?;
         let points_in_cam = view
             .observations

@@ -39,6 +39,7 @@ mod select;
 mod shape_choice;
 mod shared_lens;
 mod stereo;
+mod time_offset;
 mod trial;
 mod uncertainty;
 mod verify;
@@ -99,6 +100,7 @@ pub use options::CalibrateOptions;
 pub use recordings::detect_recordings;
 pub use results::{RESULT_FILES, result_files, sigma_of, write_results};
 pub use shape_choice::ShapeSelection;
+pub use time_offset::TimeOffsetChoice;
 pub use uncertainty::{CameraUncertainty, UncertaintyOptions, UncertaintyReport, uncertainty};
 pub use verify::{CameraVerification, Verification, verify};
 

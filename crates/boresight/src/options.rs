@@ -16,6 +16,7 @@ use crate::choices::{
     HoldoutChoice, LensChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice,
 };
 use crate::error::Error;
+use crate::time_offset::TimeOffsetChoice;
 
 /// How a calibration is made. Flags come before the job file, and that before these defaults.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -49,6 +50,10 @@ pub struct CalibrateOptions {
     pub prior: Option<PathBuf>,
     /// Cameras that share one lens, such as `left+right`, for each lens that is shared.
     pub share_lens: Vec<String>,
+    /// What becomes of cameras whose images of a frame are late, where the frames have times: `hold` takes them as of one
+    /// instant and tells of offsets, `solve` estimates them; `hold` unless told otherwise.
+    #[serde(with = "as_text")]
+    pub time_offset: TimeOffsetChoice,
     /// The names of the cameras to calibrate; empty takes all.
     pub cameras: Vec<String>,
     /// The number of threads; 0 takes one for each core. The result does not depend on it.
@@ -95,6 +100,9 @@ impl CalibrateOptions {
         }
         if !self.share_lens.is_empty() {
             stated.insert("share_lens".to_owned(), self.share_lens.join(","));
+        }
+        if self.time_offset != TimeOffsetChoice::default() {
+            stated.insert("time_offset".to_owned(), self.time_offset.to_string());
         }
         if !self.cameras.is_empty() {
             stated.insert("cameras".to_owned(), self.cameras.join(","));
@@ -251,6 +259,7 @@ mod tests {
             hold: vec!["k3".parse().unwrap(), "pose:b".parse().unwrap()],
             prior: Some("earlier/calibration.json".into()),
             share_lens: vec!["a+b".to_owned()],
+            time_offset: TimeOffsetChoice::Solve,
             cameras: vec!["a".to_owned()],
             ..CalibrateOptions::default()
         };

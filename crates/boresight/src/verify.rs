@@ -149,5 +149,5 @@ fn known_scene(calibration: &Calibration, dataset: &mut Dataset) -> Result<Scene
             TargetBelief { shape_m: Vec::new(), first_from_target: Pose::identity() }
         }));
     }
-    Ok(Scene { rig: Rig { cameras }, robot: None, targets, rig_from_target: IdVec::default() })
+    Ok(Scene { rig: Rig { cameras }, targets, ..Scene::default() })
 }

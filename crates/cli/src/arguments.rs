@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use boresight::{
     HoldChoice, HoldoutChoice, LensChoice, LossChoice, Model, RegularizationChoice, RejectChoice,
-    ShapeChoice, Target,
+    ShapeChoice, Target, TimeOffsetChoice,
 };
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
@@ -142,6 +142,10 @@ pub(crate) struct CalibrateArguments {
     /// Let cameras share one lens, such as a camera that moves; may be repeated
     #[arg(long, value_name = "NAME+NAME")]
     pub share_lens: Vec<String>,
+    /// What becomes of cameras that took their images of a frame at different times while the target moved: hold (it is told)
+    /// or solve (it is estimated) [default: hold]
+    #[arg(long, value_name = "hold|solve")]
+    pub time_offset: Option<TimeOffsetChoice>,
     /// Calibrate these cameras only
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     pub cameras: Vec<String>,

@@ -83,6 +83,7 @@ fn layered(job: &Job, arguments: &CalibrateArguments) -> Result<CalibrateOptions
         } else {
             arguments.share_lens.clone()
         },
+        time_offset: arguments.time_offset.unwrap_or(stated.time_offset),
         cameras: if arguments.cameras.is_empty() { stated.cameras } else { arguments.cameras.clone() },
         jobs: arguments.jobs.unwrap_or(stated.jobs),
     })

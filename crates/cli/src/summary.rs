@@ -199,7 +199,15 @@ fn rig(calibration: &Calibration) -> Option<String> {
         ]));
     }
     let name = &calibration.cameras.as_slice()[reference.index()].name;
-    let note = format!("position and orientation (Rodrigues vector) of each camera in the frame of {name}\n");
+    let mut note =
+        format!("position and orientation (Rodrigues vector) of each camera in the frame of {name}\n");
+    for (fit, RigCamera { time_offset_s, .. }) in calibrated(calibration) {
+        let sigma_s = sigma_of(calibration, &format!("{}.time_offset_s", fit.name));
+        if *time_offset_s != 0.0 || sigma_s.is_some() {
+            let late_ms = with_sigma(1e3 * time_offset_s, sigma_s.map(|sigma_s| 1e3 * sigma_s));
+            let _ = writeln!(note, "{}: {late_ms} ms later than {name}", fit.name);
+        }
+    }
     (rows.len() > 1).then(|| aligned(&rows) + &note)
 }
 

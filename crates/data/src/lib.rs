@@ -31,5 +31,7 @@ pub use pose_convention::{
     TurnsAbout,
 };
 pub use robot_plane::{PlaneLens, PlaneModel, RobotPlane};
-pub use scene::{Mount, Mounting, Rig, RigCamera, Robot, Scene, Stretch, TargetBelief, TargetMount};
+pub use scene::{
+    FrameMotion, Mount, Mounting, Rig, RigCamera, Robot, Scene, Stretch, TargetBelief, TargetMount,
+};
 pub use target::{CircleLayout, Geometry, Shape, Target};

@@ -44,6 +44,9 @@ pub(crate) struct CameraDocument {
     pub image_size: Option<[u32; 2]>,
     pub params: Option<Params>,
     pub cam_from_rig: Option<PoseDocument>,
+    /// How much later than a frame's time its images were taken, where that was estimated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_offset_s: Option<Param>,
     pub rms_px: Number,
     pub views: usize,
     pub observations: usize,
@@ -143,6 +146,15 @@ pub(crate) struct SolveDocument {
 pub(crate) struct FrameDocument {
     pub name: String,
     pub rig_from_target: Option<PoseDocument>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion: Option<MotionDocument>,
+}
+
+/// How a target moved in a frame: tangents, rotation in radians and translation in metres, by time in seconds.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct MotionDocument {
+    pub velocity_per_s: [f64; 6],
+    pub acceleration_per_s2: [f64; 6],
 }
 
 #[derive(Debug, Serialize, Deserialize)]

@@ -6,18 +6,18 @@
 
 use boresight_camera::{Camera, Model};
 use boresight_data::{
-    Calibration, CameraFit, Finding, IdVec, Motions, Mount, PointId, Regularization, Rejection,
+    Calibration, CameraFit, Finding, FrameMotion, IdVec, Motions, Mount, PointId, Regularization, Rejection,
     RejectionReason, Rig, RigCamera, Robot, Scene, Shape, SolveRecord, Stretch, Target, TargetBelief,
     TargetMount, Uncertainty, ViewFit,
 };
-use boresight_geometry::{Matrix3, Pose, UnitQuaternion, Vector3, nalgebra::Quaternion};
+use boresight_geometry::{Matrix3, Pose, UnitQuaternion, Vector3, Vector6, nalgebra::Quaternion};
 use serde::Deserialize;
 
 use crate::calibration_document::{
-    CameraDocument, CovarianceDocument, Document, Estimate, FrameDocument, MotionsDocument, MountDocument,
-    Number, Param, Params, PoseDocument, ReasonDocument, RegularizationDocument, RejectionDocument,
-    RobotDocument, ShapeDocument, SolveDocument, StretchDocument, TargetDocument, TargetMountDocument,
-    TargetSummary, ViewDocument,
+    CameraDocument, CovarianceDocument, Document, Estimate, FrameDocument, MotionDocument, MotionsDocument,
+    MountDocument, Number, Param, Params, PoseDocument, ReasonDocument, RegularizationDocument,
+    RejectionDocument, RobotDocument, ShapeDocument, SolveDocument, StretchDocument, TargetDocument,
+    TargetMountDocument, TargetSummary, ViewDocument,
 };
 use crate::format::{NamedCamera, NamedCovariance, OutputFile, calibrated, holds};
 use crate::json_text::to_json;
@@ -92,9 +92,12 @@ pub fn calibration_to_json(calibration: &Calibration, findings: &[Finding]) -> R
             converged: calibration.solve.converged,
         },
         frames: frames
-            .map(|(name, pose)| {
+            .enumerate()
+            .map(|(i, (name, pose))| {
                 let rig_from_target = pose.as_ref().map(|pose| write_pose(pose, name)).transpose()?;
-                Ok(FrameDocument { name: name.clone(), rig_from_target })
+                let motion = scene.motion.as_slice().get(i).copied().flatten();
+                let motion = motion.map(|motion| write_motion(&motion, name)).transpose()?;
+                Ok(FrameDocument { name: name.clone(), rig_from_target, motion })
             })
             .collect::<Result<_, Error>>()?,
         views: calibration
@@ -157,9 +160,18 @@ pub fn calibration_from_json(file: &str, bytes: &[u8]) -> Result<(Calibration, V
     }
     let mut frame_names = Vec::new();
     let mut rig_from_target = IdVec::default();
+    let mut motion = IdVec::default();
+    // Where no frame has a motion, there is not even a place for it.
+    let has_motion = document.frames.iter().any(|frame| frame.motion.is_some());
     for (i, frame) in document.frames.into_iter().enumerate() {
         let at = || format!("frames[{i}].rig_from_target");
         rig_from_target.push(frame.rig_from_target.map(|pose| reader.pose(&pose, at)).transpose()?);
+        if has_motion {
+            motion.push(frame.motion.map(|motion| FrameMotion {
+                velocity: Vector6::from(motion.velocity_per_s),
+                acceleration: Vector6::from(motion.acceleration_per_s2),
+            }));
+        }
         frame_names.push(frame.name);
     }
     let CovarianceDocument { names, rows, unavailable, regularization_information, motions, loose } =
@@ -190,6 +202,7 @@ pub fn calibration_from_json(file: &str, bytes: &[u8]) -> Result<(Calibration, V
             robot: document.robot.map(|robot| reader.robot(robot)).transpose()?,
             targets: beliefs,
             rig_from_target,
+            motion,
         },
         targets,
         frame_names,
@@ -243,7 +256,7 @@ pub(crate) fn recognizes(bytes: &[u8]) -> bool {
 /// Returns the cameras of a calibration file that could be calibrated.
 pub(crate) fn read_cameras(file: &str, bytes: &[u8]) -> Result<Vec<NamedCamera>, Error> {
     let (calibration, _) = calibration_from_json(file, bytes)?;
-    let camera = |(name, RigCamera { camera, cam_from_rig }): (&str, &RigCamera)| NamedCamera {
+    let camera = |(name, RigCamera { camera, cam_from_rig, .. }): (&str, &RigCamera)| NamedCamera {
         name: name.to_owned(),
         camera: camera.clone(),
         cam_from_rig: Some(*cam_from_rig),
@@ -307,22 +320,25 @@ fn write_camera(
         image_size: None,
         params: None,
         cam_from_rig: None,
+        time_offset_s: None,
         rms_px: fit.rms_px.into(),
         views: fit.views,
         observations: fit.observations,
         rejected: fit.rejected,
     };
-    let Some(RigCamera { camera, cam_from_rig }) = camera else { return Ok(document) };
+    let Some(RigCamera { camera, cam_from_rig, time_offset_s }) = camera else { return Ok(document) };
     let names = camera.model.param_names();
     same_length("parameters of a camera", camera.params.len(), names.len())?;
-    let params = names.iter().zip(&camera.params).map(|(param, &value)| {
+    let param = |param: &str, value: f64| {
         finite(value, || format!("{name}.{param}"))?;
         let (sigma, why) = match sigmas.of(&format!("{name}.{param}")) {
             Ok(sigma) => (Some(sigma), None),
             Err(why) => (None, Some(why)),
         };
-        Ok(((*param).to_owned(), Param { value, sigma, why }))
-    });
+        Ok::<_, Error>(Param { value, sigma, why })
+    };
+    let params =
+        names.iter().zip(&camera.params).map(|(name, &value)| Ok(((*name).to_owned(), param(name, value)?)));
     document.model = Some(camera.model.to_string());
     document.image_size = Some(camera.image_size);
     document.params = Some(Params(params.collect::<Result<_, Error>>()?));
@@ -332,7 +348,17 @@ fn write_camera(
         translation_sigma_m: of_pose(["tx_m", "ty_m", "tz_m"]),
         ..write_pose(cam_from_rig, name)?
     });
+    let late = param("time_offset_s", *time_offset_s)?;
+    document.time_offset_s = (late.value != 0.0 || late.sigma.is_some()).then_some(late);
     Ok(document)
+}
+
+fn write_motion(motion: &FrameMotion, of: &str) -> Result<MotionDocument, Error> {
+    let FrameMotion { velocity, acceleration } = motion;
+    for value in velocity.iter().chain(acceleration) {
+        finite(*value, || format!("the motion of {of}"))?;
+    }
+    Ok(MotionDocument { velocity_per_s: (*velocity).into(), acceleration_per_s2: (*acceleration).into() })
 }
 
 fn write_pose(pose: &Pose, of: &str) -> Result<PoseDocument, Error> {
@@ -437,7 +463,7 @@ impl Reader<'_> {
     }
 
     fn camera(&self, i: usize, document: CameraDocument) -> Result<Option<RigCamera>, Error> {
-        let CameraDocument { name, model, image_size, params, cam_from_rig, .. } = document;
+        let CameraDocument { name, model, image_size, params, cam_from_rig, time_offset_s, .. } = document;
         let (Some(model), Some(image_size), Some(Params(params)), Some(pose)) =
             (model, image_size, params, cam_from_rig)
         else {
@@ -463,7 +489,11 @@ impl Reader<'_> {
         let values = names.iter().map(value).collect::<Result<Vec<f64>, Error>>()?;
         let camera = Camera::new(model, values, image_size).map_err(lens)?;
         let cam_from_rig = self.pose(&pose, || format!("cameras[{i}].cam_from_rig"))?;
-        Ok(Some(RigCamera { camera, cam_from_rig }))
+        Ok(Some(RigCamera {
+            camera,
+            cam_from_rig,
+            time_offset_s: time_offset_s.map_or(0.0, |late| late.value),
+        }))
     }
 
     fn pose(&self, pose: &PoseDocument, at: impl Fn() -> String) -> Result<Pose, Error> {

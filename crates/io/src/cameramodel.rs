@@ -167,7 +167,7 @@ pub(crate) fn read_cameras(file: &str, bytes: &[u8]) -> Result<Vec<NamedCamera>,
     Ok(vec![NamedCamera { name: camera_name, camera, cam_from_rig: Some(cam_from_rig), covariance: None }])
 }
 
-fn write(name: &str, RigCamera { camera, cam_from_rig }: &RigCamera) -> Result<String, Error> {
+fn write(name: &str, RigCamera { camera, cam_from_rig, .. }: &RigCamera) -> Result<String, Error> {
     let Some(theirs) = their_name(&camera.model) else {
         let (camera, what) = (name.to_owned(), format!("lens model {}", camera.model));
         return Err(Error::CannotCarry { format: "cameramodel", camera, what, instead: Vec::new() });

@@ -51,7 +51,7 @@ pub struct CameraMatrices {
 /// Returns the matrices of each calibrated camera, in the order of the rig.
 pub fn matrices(calibration: &Calibration) -> Vec<CameraMatrices> {
     calibrated(calibration)
-        .map(|(name, RigCamera { camera, cam_from_rig })| {
+        .map(|(name, RigCamera { camera, cam_from_rig, .. })| {
             let [fx, fy, u0, v0] = [0, 1, 2, 3].map(|i| camera.params[i]);
             let core = [fx, fy, u0, v0];
             CameraMatrices {

@@ -22,7 +22,7 @@ pub(crate) fn rig(lenses: &[(&str, Vec<f64>)]) -> Vec<Option<RigCamera>> {
                 Vector3::new(-0.1 * i, 1.0 / 3.0, 1e-7),
             ),
         };
-        Some(RigCamera { camera, cam_from_rig })
+        Some(RigCamera { camera, cam_from_rig, time_offset_s: 0.001 * i / 3.0 })
     };
     lenses.iter().enumerate().map(camera).collect()
 }
@@ -159,6 +159,13 @@ pub(crate) fn sample() -> Calibration {
                 TargetBelief { shape_m: Vec::new(), first_from_target: pose(0.3) },
             ]),
             rig_from_target: IdVec::from(vec![Some(pose(1.5)), None]),
+            motion: IdVec::from(vec![
+                Some(boresight_data::FrameMotion {
+                    velocity: boresight_geometry::Vector6::repeat(1.0 / 3.0),
+                    acceleration: boresight_geometry::Vector6::repeat(-2.0 / 7.0),
+                }),
+                None,
+            ]),
         },
         ..calibration(cameras)
     }

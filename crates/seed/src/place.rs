@@ -1,6 +1,6 @@
 //! Where targets stood in the frames of a dataset, for cameras that are known.
 
-use boresight_data::{Dataset, FrameId, Scene};
+use boresight_data::{Dataset, FrameId, IdVec, Scene};
 use boresight_geometry::Pose;
 
 use crate::resection::{Resection, resect};
@@ -42,6 +42,7 @@ pub fn place(dataset: &Dataset, scene: &Scene) -> Scene {
     }
     Scene {
         rig_from_target: best.into_iter().map(|found| found.map(|(_, pose)| pose)).collect(),
+        motion: IdVec::default(),
         ..scene.clone()
     }
 }

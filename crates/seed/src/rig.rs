@@ -46,14 +46,14 @@ pub(crate) fn assemble(
     settle_frames(&mut frames, &arrangement, &mut rig_from_target, view_facts);
 
     let cameras = cameras.into_iter().zip(&arrangement.cam_from_rig).map(|(seeded, cam_from_rig)| {
-        Some(RigCamera { camera: seeded?.camera, cam_from_rig: (*cam_from_rig)? })
+        Some(RigCamera { camera: seeded?.camera, cam_from_rig: (*cam_from_rig)?, time_offset_s: 0.0 })
     });
     let rig = Rig { cameras: cameras.collect() };
     let targets = dataset.targets.enumerate().map(|(id, target)| TargetBelief {
         shape_m: vec![0.0; target.shape.coefficient_count()],
         first_from_target: arrangement.first_from_target[id].unwrap_or_default(),
     });
-    Scene { rig, robot: None, targets: targets.collect(), rig_from_target }
+    Scene { rig, robot: None, targets: targets.collect(), rig_from_target, motion: IdVec::default() }
 }
 
 /// Lists the poses of all views that have one.

@@ -7,7 +7,7 @@
 
 use std::sync::Arc;
 
-use boresight_geometry::{Matrix3, Vector3};
+use boresight_geometry::{Matrix3, Vector3, Vector6};
 use pulp::{Simd, WithSimd};
 
 use crate::aligned::Aligned;
@@ -51,7 +51,7 @@ pub struct Links {
     n: usize,
 }
 
-/// How a left perturbation of a link moves the composite pose: the adjoint of a pose, or less that.
+/// How a left perturbation of a link moves the composite pose: the adjoint of a pose, or less that, or one column.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LinkMap {
     /// Row by row; the last two columns are zero and fill the registers.
@@ -80,8 +80,15 @@ impl Links {
     /// Adds a link whose map is `sign` times the adjoint of the pose of this rotation and translation.
     #[inline(always)]
     pub fn push_adjoint(&mut self, rotation: &Matrix3<f64>, translation: &Vector3<f64>, sign: f64) {
-        // In its place: a map is large, and what is zero in one is zero in all.
+        // In its place: a map is large.
         self.maps[self.n].get_or_insert_default().set_adjoint(rotation, translation, sign);
+        self.n += 1;
+    }
+
+    /// Adds a link of which one number moves the composite pose, by `tangent` for each unit of its `column`,
+    /// and the others move nothing.
+    pub fn push_along(&mut self, column: usize, tangent: &Vector6<f64>) {
+        self.maps[self.n] = Some(LinkMap::along(column, tangent));
         self.n += 1;
     }
 
@@ -99,8 +106,17 @@ impl LinkMap {
             let [x, y, z] = [rotation[(0, k)] * sign, rotation[(1, k)] * sign, rotation[(2, k)] * sign];
             (rows[0][k], rows[1][k], rows[2][k]) = (x, y, z);
             (rows[3][3 + k], rows[4][3 + k], rows[5][3 + k]) = (x, y, z);
+            (rows[0][3 + k], rows[1][3 + k], rows[2][3 + k]) = (0.0, 0.0, 0.0);
             (rows[3][k], rows[4][k], rows[5][k]) = (t.y * z - t.z * y, t.z * x - t.x * z, t.x * y - t.y * x);
         }
+    }
+
+    fn along(column: usize, tangent: &Vector6<f64>) -> Self {
+        let mut map = Self::default();
+        for (row, entry) in map.rows.iter_mut().zip(tangent.iter()) {
+            row[column] = *entry;
+        }
+        map
     }
 
     /// Returns the map as a matrix, row by row.

@@ -2,18 +2,21 @@
 //!
 //! A [`Recipe`] says which cameras, which target, how it is waved about, and how bad the corners
 //! are. [`simulate`] turns it and a seed into a [`Synthetic`]: truth, dataset, clean pixels, and
-//! which observations are outliers. The same recipe and seed give the same bytes. [`render`] makes images of a target.
+//! which observations are outliers. The same recipe and seed give the same bytes. [`simulate_moving`]
+//! does so for cameras that look at different times, and [`render`] makes images of a target.
 //!
 //! Architecture invariant: nothing here estimates anything, and nothing is random without a seed.
 
 mod drawing;
 mod lenses;
+mod moving;
 mod place;
 mod recipe;
 mod render;
 mod simulate;
 
 pub use drawing::{FirstSquare, Print};
+pub use moving::{Timing, simulate_moving};
 pub use recipe::{Outliers, PlacedCamera, Placement, Recipe};
 pub use render::{Depth, Exposure, render};
 mod robot;

@@ -73,7 +73,7 @@ fn place_frame(rng: &mut ChaCha8Rng, recipe: &Recipe, frame_idx: usize) -> Optio
 }
 
 /// Adds a view: drops what stays hidden, and puts noise and gross errors on the rest.
-fn observe(
+pub(crate) fn observe(
     rng: &mut ChaCha8Rng,
     recipe: &Recipe,
     made: &mut Synthetic,
@@ -106,16 +106,19 @@ fn observe(
     }
 }
 
-fn truth_without_frames(recipe: &Recipe) -> Scene {
-    let cameras = recipe
-        .cameras
-        .iter()
-        .map(|placed| Some(RigCamera { camera: placed.camera.clone(), cam_from_rig: placed.cam_from_rig }));
+pub(crate) fn truth_without_frames(recipe: &Recipe) -> Scene {
+    let cameras = recipe.cameras.iter().map(|placed| {
+        Some(RigCamera {
+            camera: placed.camera.clone(),
+            cam_from_rig: placed.cam_from_rig,
+            time_offset_s: 0.0,
+        })
+    });
     let belief = TargetBelief { shape_m: recipe.shape_m.clone(), first_from_target: Pose::identity() };
     Scene { rig: Rig { cameras: cameras.collect() }, targets: vec![belief].into(), ..Scene::default() }
 }
 
-fn dataset_without_views(recipe: &Recipe) -> Dataset {
+pub(crate) fn dataset_without_views(recipe: &Recipe) -> Dataset {
     let camera = |placed: &crate::PlacedCamera| CameraInfo {
         name: placed.name.clone(),
         image_size: placed.camera.image_size,

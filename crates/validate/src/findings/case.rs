@@ -107,10 +107,8 @@ impl<'a> Case<'a> {
     /// Returns where a view's target stood in front of its camera, as believed.
     pub(super) fn cam_from_target(&self, view: &View) -> Option<Pose> {
         let scene = &self.calibration.scene;
-        let cam_from_rig = scene.rig.cameras.get(view.camera)?.as_ref()?.cam_from_rig;
-        let rig_from_first = (*scene.rig_from_target.get(view.frame)?)?;
         let first_from_target = scene.targets.get(view.target)?.first_from_target;
-        Some(cam_from_rig * rig_from_first * first_from_target)
+        Some(scene.cam_from_first(view.camera, view.frame)? * first_from_target)
     }
 
     /// Returns the target of a view.

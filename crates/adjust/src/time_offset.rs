@@ -1,0 +1,247 @@
+//! Cameras that are late: told from a target that moves, jointly with everything else.
+//!
+//! All images of a frame are taken as of one instant. Where a camera took its own later, it saw the target where that had
+//! moved to by then, and its chain has one link more, between rig and target: the motion of the target in so many seconds
+//! ([`FrameMotion`]). The seconds are one more unknown of the camera, with a sigma like any other.
+//!
+//! The motion is that of the solution itself: around each frame, the polynomial in time through the poses of its
+//! neighbours, in the tangent space of its own pose. It is taken from a solution and kept while the next is sought, until
+//! the offsets stay. Then the poses of all frames, the motion between them and what each camera saw go together.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use boresight_data::{Calibration, CameraId, Dataset, FrameId, FrameMotion, Id as _, IdVec, Scene, View};
+use boresight_geometry::nalgebra::DMatrix;
+use boresight_geometry::{Pose, Vector3, Vector6};
+
+use crate::adjust::adjust;
+use crate::error::Error;
+use crate::options::AdjustOptions;
+
+/// How many frames on each side of a frame tell its motion.
+const NEIGHBOURS: usize = 2;
+/// Frames further apart than this many median intervals are no neighbours.
+const LONGEST_GAP: f64 = 2.5;
+/// Frames further apart than this are no neighbours, in seconds: a hand's motion has turned by then.
+const LONGEST_GAP_S: f64 = 0.6;
+/// The least number of moving frames that a camera shares with others whose offset is known.
+const LEAST_FRAMES: usize = 6;
+/// How often the motion is taken anew.
+const MAX_ROUNDS: usize = 6;
+/// The offsets stay when they change by less than this share of their sigma, or by less than this many seconds.
+const SETTLED_SIGMAS: f64 = 0.05;
+const SETTLED_S: f64 = 1e-7;
+
+/// How late a camera's images are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimeOffset {
+    /// The camera.
+    pub camera: CameraId,
+    /// How much later than the reference camera's its images of a frame were taken, in seconds.
+    pub offset_s: f64,
+    /// The standard deviation of the offset, with the noise that the residuals show.
+    pub sigma_s: f64,
+    /// How far the target moves in that time in the camera's images: the median over frames, in pixels.
+    pub shift_px: f64,
+}
+
+/// A calibration in which cameras may be late.
+#[derive(Clone, Debug)]
+pub struct Timed {
+    /// The calibration; its scene has the offsets and the motion.
+    pub calibration: Calibration,
+    /// The offsets of the cameras of which the data tell them.
+    pub offsets: Vec<TimeOffset>,
+}
+
+/// Adjusts `seed` with the time offsets of all cameras but the reference as unknowns, from `solved`, a scene that was adjusted
+/// without.
+///
+/// `None` where nothing tells any offset: fewer than two cameras, a robot, frames without times, or too few frames close
+/// enough in time that cameras share.
+pub fn adjust_times(
+    dataset: &Dataset,
+    seed: &Scene,
+    solved: &Scene,
+    options: &AdjustOptions,
+) -> Result<Option<Timed>, Error> {
+    if dataset.cameras.len() < 2 || seed.robot.is_some() {
+        return Ok(None);
+    }
+    // Without offsets, frames of a fast target may have been left out; they have their seed's poses.
+    let mut scene = solved.clone();
+    for (pose, seeded) in scene.rig_from_target.iter_mut().zip(&seed.rig_from_target) {
+        *pose = pose.or(*seeded);
+    }
+    scene.motion = motion(dataset, &scene);
+    let told = told_cameras(dataset, &scene);
+    if told.is_empty() {
+        return Ok(None);
+    }
+    let options = AdjustOptions { time_offsets: told.clone(), ..options.clone() };
+    let mut offsets = vec![0.0; told.len()];
+    for round in 1.. {
+        let calibration = adjust(dataset, &scene, &options, None)?;
+        let found: Vec<TimeOffset> =
+            told.iter().filter_map(|camera| offset(dataset, &calibration, *camera)).collect();
+        let is_settled = found.len() == told.len()
+            && found.iter().zip(&offsets).all(|(now, before)| {
+                (now.offset_s - before).abs() < (SETTLED_SIGMAS * now.sigma_s).max(SETTLED_S)
+            });
+        if is_settled || round == MAX_ROUNDS || found.len() < told.len() {
+            return Ok(Some(Timed { calibration, offsets: found }));
+        }
+        offsets = found.iter().map(|found| found.offset_s).collect();
+        let before = std::mem::replace(&mut scene, calibration.scene);
+        for (pose, before) in scene.rig_from_target.iter_mut().zip(&before.rig_from_target) {
+            *pose = pose.or(*before);
+        }
+        scene.motion = motion(dataset, &scene);
+    }
+    Ok(None)
+}
+
+/// Returns a camera's offset; `None` if its sigma is not known.
+fn offset(dataset: &Dataset, calibration: &Calibration, camera: CameraId) -> Option<TimeOffset> {
+    let scene = &calibration.scene;
+    let offset_s = scene.rig.cameras[camera].as_ref()?.time_offset_s;
+    let uncertainty = &calibration.uncertainty;
+    let name = format!("{}.time_offset_s", dataset.cameras[camera].name);
+    let place = uncertainty.names.iter().position(|known| *known == name)?;
+    let sigma_s = uncertainty.covariance.get(place * (uncertainty.names.len() + 1))?.sqrt();
+    let mut shifts: Vec<f64> = dataset
+        .views
+        .iter()
+        .filter(|view| view.camera == camera)
+        .filter_map(|view| shift_px(dataset, scene, view))
+        .collect();
+    shifts.sort_by(f64::total_cmp);
+    let shift_px = shifts.get(shifts.len() / 2).copied().unwrap_or(0.0);
+    Some(TimeOffset { camera, offset_s, sigma_s, shift_px })
+}
+
+/// Returns how far the middle of what a view sees moves in its image while its camera is late.
+fn shift_px(dataset: &Dataset, scene: &Scene, view: &View) -> Option<f64> {
+    let camera = scene.rig.cameras[view.camera].as_ref()?;
+    (*scene.motion.get(view.frame)?)?;
+    let belief = &scene.targets[view.target];
+    let target = &dataset.targets[view.target];
+    let points = view.observations.iter().map(|seen| target.point(seen.point, &belief.shape_m));
+    let middle = points.sum::<Vector3<f64>>() / view.observations.len().max(1) as f64;
+    let middle_in_first = belief.first_from_target * middle;
+    let in_time = camera.cam_from_rig * scene.rig_from_target[view.frame]? * middle_in_first;
+    let late = scene.cam_from_first(view.camera, view.frame)? * middle_in_first;
+    let [from, to] = [camera.camera.project(&in_time)?, camera.camera.project(&late)?];
+    Some((to[0] - from[0]).hypot(to[1] - from[1]))
+}
+
+/// Returns the cameras whose offsets the data can tell: those that share enough moving frames with the reference camera, or
+/// with others that do.
+fn told_cameras(dataset: &Dataset, scene: &Scene) -> Vec<CameraId> {
+    let Some(reference) = scene.rig.reference() else { return Vec::new() };
+    let mut seen_by: BTreeMap<FrameId, BTreeSet<CameraId>> = BTreeMap::new();
+    for view in &dataset.views {
+        if scene.motion[view.frame].is_some() && scene.rig.cameras[view.camera].is_some() {
+            seen_by.entry(view.frame).or_default().insert(view.camera);
+        }
+    }
+    let mut told = BTreeSet::from([reference]);
+    loop {
+        let shared = |camera: CameraId| {
+            let both = |cameras: &&BTreeSet<CameraId>| {
+                cameras.contains(&camera) && cameras.iter().any(|other| told.contains(other))
+            };
+            seen_by.values().filter(both).count()
+        };
+        let more: Vec<CameraId> = dataset
+            .cameras
+            .ids()
+            .filter(|camera| !told.contains(camera) && shared(*camera) >= LEAST_FRAMES)
+            .collect();
+        if more.is_empty() {
+            break;
+        }
+        told.extend(more);
+    }
+    told.into_iter().filter(|camera| *camera != reference).collect()
+}
+
+/// Returns how the first target moved in each frame that has a time, and two neighbours at least.
+fn motion(dataset: &Dataset, scene: &Scene) -> IdVec<FrameId, Option<FrameMotion>> {
+    let mut timed: Vec<(i64, FrameId, Pose)> = dataset
+        .frames
+        .enumerate()
+        .filter_map(|(id, frame)| Some((frame.time_ns?, id, (*scene.rig_from_target.get(id)?)?)))
+        .collect();
+    timed.sort_by_key(|(time_ns, id, _)| (*time_ns, id.index()));
+    timed.dedup_by_key(|(time_ns, ..)| *time_ns);
+    let seconds = |from: usize, to: usize| timed[to].0.saturating_sub(timed[from].0) as f64 * 1e-9;
+    let mut intervals: Vec<f64> = (1..timed.len()).map(|i| seconds(i - 1, i)).collect();
+    intervals.sort_by(f64::total_cmp);
+    let median_s = intervals.get(intervals.len() / 2).copied().unwrap_or(0.0);
+    let longest_s = (LONGEST_GAP * median_s).min(LONGEST_GAP_S);
+    let mut motion: IdVec<FrameId, Option<FrameMotion>> = dataset.frames.ids().map(|_| None).collect();
+    for (i, (_, id, pose)) in timed.iter().enumerate() {
+        let is_near = |one: usize, next: usize| seconds(one, next) <= longest_s;
+        let before = (1..=NEIGHBOURS.min(i)).take_while(|k| is_near(i - k, i - k + 1)).count();
+        let after =
+            (1..=NEIGHBOURS.min(timed.len() - 1 - i)).take_while(|k| is_near(i + k - 1, i + k)).count();
+        // One neighbour alone would tell a velocity, and nothing of how it changes.
+        if before + after < 2 {
+            continue;
+        }
+        let from_here = pose.inverse();
+        let nodes: Vec<(f64, Vector6<f64>)> = (i - before..=i + after)
+            .filter(|other| *other != i)
+            .map(|other| {
+                let time_s = timed[other].0.saturating_sub(timed[i].0) as f64 * 1e-9;
+                (time_s, (timed[other].2 * from_here).log())
+            })
+            .collect();
+        motion[*id] = polynomial(&nodes);
+    }
+    motion
+}
+
+/// Returns the first two derivatives at zero of the polynomial through zero and the nodes.
+fn polynomial(nodes: &[(f64, Vector6<f64>)]) -> Option<FrameMotion> {
+    let n = nodes.len();
+    // In units of the longest time, so that the powers are of one size.
+    let unit_s = nodes.iter().map(|(time_s, _)| time_s.abs()).fold(0.0, f64::max);
+    let powers = DMatrix::from_fn(n, n, |row, power| (nodes[row].0 / unit_s).powi(power as i32 + 1));
+    let values = DMatrix::from_fn(n, 6, |row, column| nodes[row].1[column]);
+    let coefficients = powers.lu().solve(&values)?;
+    let row = |power: usize| Vector6::from_fn(|column, _| coefficients[(power - 1, column)]);
+    Some(FrameMotion { velocity: row(1) / unit_s, acceleration: row(2) * 2.0 / (unit_s * unit_s) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_polynomial_has_the_derivatives_of_what_it_passes() {
+        let value = |t: f64| Vector6::repeat(0.7 * t - 1.3 * t * t + 0.4 * t * t * t - 0.2 * t.powi(4));
+        let nodes = [-0.2, -0.1, 0.1, 0.3].map(|t| (t, value(t)));
+        let found = polynomial(&nodes).unwrap();
+        assert!((found.velocity - Vector6::repeat(0.7)).norm() < 1e-12, "{found:?}");
+        assert!((found.acceleration - Vector6::repeat(-2.6)).norm() < 1e-11, "{found:?}");
+    }
+
+    #[test]
+    fn frames_without_neighbours_have_no_motion() {
+        let times_ms = [0, 100, 200, 300, 1200, 1300, 1400, 5000];
+        let pose = |ms: i64| Pose::new(Pose::identity().rotation, Vector3::new(1e-3 * ms as f64, 0.0, 1.0));
+        let frame = |ms: &i64| boresight_data::Frame { time_ns: Some(ms * 1_000_000), ..Default::default() };
+        let dataset = Dataset { frames: times_ms.iter().map(frame).collect(), ..Dataset::default() };
+        let rig_from_target = times_ms.iter().map(|ms| Some(pose(*ms))).collect();
+        let scene = Scene { rig_from_target, ..Scene::default() };
+        let found = motion(&dataset, &scene);
+        let is_moving: Vec<bool> = found.iter().map(Option::is_some).collect();
+        assert_eq!(is_moving, [true, true, true, true, true, true, true, false]);
+        for motion in found.iter().flatten() {
+            // A metre a second, without turning.
+            assert!((motion.velocity - Vector6::new(0.0, 0.0, 0.0, 1.0, 0.0, 0.0)).norm() < 1e-9);
+        }
+    }
+}
