@@ -23,7 +23,7 @@ pub(crate) struct CameraSpec {
     pub image_size: [u32; 2],
 }
 
-/// Builds the dataset of one target from corner files, with what was noticed.
+/// Builds the dataset of some targets from corner files, each of one target, with what was noticed.
 ///
 /// Where the job lists no cameras, those of the files are taken, in natural order of their names, with
 /// the image size `default_size`.
@@ -31,7 +31,7 @@ pub(crate) fn assemble(
     files: Vec<SeenFile>,
     specs: &[CameraSpec],
     default_size: Option<[u32; 2]>,
-    target: Target,
+    targets: Vec<Target>,
 ) -> Result<(Dataset, Vec<Finding>), Error> {
     let mut findings = Vec::new();
     let listed: Vec<Listed> = specs.iter().map(|spec| spec.listed.clone()).collect();
@@ -63,10 +63,11 @@ pub(crate) fn assemble(
         frame_names.iter().enumerate().map(|(i, name)| (name.as_str(), FrameId::from_index(i))).collect();
 
     found.sort_by_cached_key(|located| {
-        (frame_ids[located.frame.as_str()], camera_ids.get(located.camera.as_str()))
+        (frame_ids[located.frame.as_str()], camera_ids.get(located.camera.as_str()), located.target_idx)
     });
     for pair in found.windows(2) {
-        if pair[0].frame == pair[1].frame && pair[0].camera == pair[1].camera {
+        let key = |located: &Located| (located.frame.clone(), located.camera.clone(), located.target_idx);
+        if key(&pair[0]) == key(&pair[1]) {
             return Err(Error::DuplicateView {
                 place: Place::line(&pair[1].file, pair[1].view.line),
                 frame: pair[1].frame.clone(),
@@ -86,7 +87,8 @@ pub(crate) fn assemble(
         };
         let frame = frame_ids[located.frame.as_str()];
         let SeenView { image, observations, .. } = located.view;
-        views.push(View { camera, frame, target: TargetId(0), image, observations });
+        let target = TargetId::from_index(located.target_idx);
+        views.push(View { camera, frame, target, image, observations });
     }
     for (id, info) in infos.enumerate() {
         if !views.iter().any(|view: &View| view.camera == id) {
@@ -104,7 +106,7 @@ pub(crate) fn assemble(
     drop((camera_ids, frame_ids));
     let frames =
         frame_names.into_iter().map(|name| Frame { name, time_ns: None, base_from_flange: None }).collect();
-    let dataset = Dataset { cameras: infos, targets: IdVec::from(vec![target]), frames, views };
+    let dataset = Dataset { cameras: infos, targets: IdVec::from(targets), frames, views };
     Ok((dataset, findings))
 }
 
@@ -113,12 +115,13 @@ struct Located {
     file: String,
     camera: String,
     frame: String,
+    target_idx: usize,
     view: SeenView,
 }
 
 /// Appends the views of a file that hold corners, and returns its name and how many images have no camera.
 fn gather(file: SeenFile, listed: &[Listed], found: &mut Vec<Located>) -> Result<(String, usize), Error> {
-    let SeenFile { file, views, .. } = file;
+    let SeenFile { file, target_idx, views, .. } = file;
     let unnamed = views.iter().any(|view| view.camera.is_none());
     // Images without a board take part, so that the same rule applies whatever was detected.
     let images: Vec<&str> = views.iter().map(|view| view.image.as_deref().unwrap_or_default()).collect();
@@ -146,7 +149,7 @@ fn gather(file: SeenFile, listed: &[Listed], found: &mut Vec<Located>) -> Result
             },
         };
         if !view.observations.is_empty() {
-            found.push(Located { file: file.clone(), camera, frame, view });
+            found.push(Located { file: file.clone(), camera, frame, target_idx, view });
         }
     }
     Ok((file, left_out))
@@ -300,7 +303,7 @@ mod tests {
         let geometry = Geometry::Chessboard { columns: 3, rows: 2, spacing_m: 0.1 };
         let target = Target { name: "board".to_owned(), geometry, shape: Shape::Rigid };
         let file = SeenFile { file: "c.csv".to_owned(), views, ..SeenFile::default() };
-        assemble(vec![file], &specs, None, target)
+        assemble(vec![file], &specs, None, vec![target])
     }
 
     #[test]

@@ -157,7 +157,8 @@ pub(crate) fn read_csv(file: &str, bytes: &[u8], target: &Target, sigma_px: f64)
     if views.is_empty() {
         return Err(Error::NoCorners { file: file.to_owned(), lines: cursor.line() - 1 });
     }
-    Ok(SeenFile { file: file.to_owned(), views, minus_one, cut_off: cursor.ends_without_newline() })
+    let cut_off = cursor.ends_without_newline();
+    Ok(SeenFile { file: file.to_owned(), views, minus_one, cut_off, ..SeenFile::default() })
 }
 
 /// The views read so far; lines of one view usually follow each other, but need not.

@@ -9,7 +9,7 @@ use crate::assemble::{CameraSpec, assemble, natural_order};
 use crate::image_files::{ImageFile, find_images};
 use crate::image_names::{Listed, assign};
 use crate::image_pixels::{ReadImage, image_from_bytes};
-use crate::job::{Head, Job, JobOverrides, hash, head_beside, named_inputs, read, robot_of};
+use crate::job::{Head, Job, JobOverrides, hash, head_beside, named_inputs, read, robot_of, set_times};
 use crate::robot_input::RobotOverrides;
 use crate::seen::{SeenFile, SeenView, describe};
 use crate::{Error, Place};
@@ -147,7 +147,8 @@ pub(crate) fn finish(
         views: views.into_iter().map(view).collect(),
         ..SeenFile::default()
     };
-    let (mut dataset, noticed) = assemble(vec![file], &specs, None, head.target)?;
+    let (mut dataset, noticed) = assemble(vec![file], &specs, None, vec![head.target])?;
+    set_times(&head.folder, head.job.frame_times.as_deref(), &mut dataset, &mut hashes)?;
     let robot = robot_of(&head.folder, head.job.robot.as_ref(), robot, &mut dataset, &mut hashes)?;
     let mut findings = findings.into_findings();
     findings.extend(noticed);

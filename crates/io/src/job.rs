@@ -9,9 +9,10 @@ use crate::assemble::{CameraSpec, assemble};
 use crate::calibration_json::calibration_from_json;
 use crate::format::corner_reader;
 use crate::image_names::Listed;
-use crate::job_file::{JobFile, TargetDescription, name_of, read_job_file, read_points};
+use crate::job_file::{Board, JobFile, TargetDescription, name_of, read_job_file, read_points};
 use crate::recording::RecordingOptions;
-use crate::robot_input::{RobotInput, RobotOverrides, load_robot};
+use crate::robot_input::{RobotInput, RobotOverrides, frame_times, load_robot};
+use crate::seen::SeenFile;
 use crate::{Error, Place};
 
 /// The name of the job file in a dataset's folder.
@@ -77,19 +78,9 @@ pub fn load_job(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Job, Err
     }
     let mut files = Vec::new();
     for (name, path) in named {
-        let bytes = read(&path)?;
-        let file = path.display().to_string();
-        hashes.push((name, hash(&bytes)));
-        let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
-        let Some(read_corners) = extension.and_then(|extension| corner_reader(&extension)) else {
-            return Err(config(
-                &path,
-                "this is no corner file".to_owned(),
-                "corner files end in .csv or .vnl",
-            ));
-        };
-        files.push(read_corners(&file, &bytes, &target, sigma_px)?);
+        files.push(read_corner_file(name, &path, &target, sigma_px, &mut hashes)?);
     }
+    let targets = read_boards(&folder, job.boards, target, sigma_px, &mut files, &mut hashes)?;
     let mut cameras = job.cameras;
     if let Some((camera, pattern)) = overrides.cameras.first()
         && let Some(named) = files.iter().find(|file| file.views.iter().all(|view| view.camera.is_some()))
@@ -98,22 +89,103 @@ pub fn load_job(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Job, Err
         return Err(config(Path::new(&named.file), message, "leave --camera out"));
     }
     if !overrides.cameras.is_empty() {
-        let spec = |(name, pattern): &(String, String)| {
-            let known = cameras.iter().find(|camera| camera.listed.name == *name);
-            let image_size = overrides.image_size.or(known.map(|camera| camera.image_size));
-            let listed = Listed { name: name.clone(), images: Some(pattern.clone()) };
-            let image_size = image_size.ok_or_else(|| Error::NoImageSize { camera: name.clone() })?;
-            Ok(CameraSpec { listed, image_size })
-        };
-        cameras = overrides.cameras.iter().map(spec).collect::<Result<_, Error>>()?;
-    }
-    if let Some(image_size) = overrides.image_size {
+        cameras = named_cameras(&cameras, overrides)?;
+    } else if let Some(image_size) = overrides.image_size {
         cameras.iter_mut().for_each(|camera| camera.image_size = image_size);
     }
-    let (mut dataset, findings) = assemble(files, &cameras, overrides.image_size, target)?;
+    let (mut dataset, findings) = assemble(files, &cameras, overrides.image_size, targets)?;
+    set_times(&folder, job.frame_times.as_deref(), &mut dataset, &mut hashes)?;
     let robot = robot_of(&folder, job.robot.as_ref(), &overrides.robot, &mut dataset, &mut hashes)?;
     let known_lenses = job.known_lenses;
     Ok(Job { dataset, options: job.options, options_place, inputs: hashes, findings, robot, known_lenses })
+}
+
+/// Reads a file of corners of a target.
+fn read_corner_file(
+    name: String,
+    path: &Path,
+    target: &Target,
+    sigma_px: f64,
+    hashes: &mut Vec<(String, String)>,
+) -> Result<SeenFile, Error> {
+    let bytes = read(path)?;
+    hashes.push((name, hash(&bytes)));
+    let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+    let Some(read_corners) = extension.and_then(|extension| corner_reader(&extension)) else {
+        return Err(config(path, "this is no corner file".to_owned(), "corner files end in .csv or .vnl"));
+    };
+    read_corners(&path.display().to_string(), &bytes, target, sigma_px)
+}
+
+/// Reads the corners of the boards beside the first target, and returns all targets.
+fn read_boards(
+    folder: &Path,
+    boards: Vec<Board>,
+    first: Target,
+    sigma_px: f64,
+    files: &mut Vec<SeenFile>,
+    hashes: &mut Vec<(String, String)>,
+) -> Result<Vec<Target>, Error> {
+    let mut targets = vec![first];
+    for Board { name, target, corners } in boards {
+        let target = described(folder, target, hashes)?;
+        let target = Target { name, ..target };
+        for name in corners {
+            let path = folder.join(&name);
+            let file = read_corner_file(name, &path, &target, sigma_px, hashes)?;
+            files.push(SeenFile { target_idx: targets.len(), ..file });
+        }
+        targets.push(target);
+    }
+    Ok(targets)
+}
+
+/// Returns a target as it is described, its points read where they are in a file.
+fn described(
+    folder: &Path,
+    description: TargetDescription,
+    hashes: &mut Vec<(String, String)>,
+) -> Result<Target, Error> {
+    match description {
+        TargetDescription::Here(target) => Ok(target),
+        TargetDescription::Points(name) => {
+            let path = folder.join(&name);
+            let bytes = read(&path)?;
+            hashes.push((name, hash(&bytes)));
+            read_points(&path.display().to_string(), &bytes)
+        }
+    }
+}
+
+/// Returns the cameras that the command line names in place of the job's, with the sizes of their images.
+fn named_cameras(of_job: &[CameraSpec], overrides: &JobOverrides) -> Result<Vec<CameraSpec>, Error> {
+    let named = overrides.cameras.iter().map(|(name, pattern)| {
+        let of_job = of_job.iter().find(|camera| camera.listed.name == *name).map(|camera| camera.image_size);
+        let image_size = overrides.image_size.or(of_job);
+        let image_size = image_size.ok_or_else(|| Error::NoImageSize { camera: name.clone() })?;
+        let listed = Listed { name: name.clone(), images: Some(pattern.clone()) };
+        Ok(CameraSpec { listed, image_size })
+    });
+    named.collect()
+}
+
+/// Gives the frames the times that a file tells, if the job names one.
+pub(crate) fn set_times(
+    folder: &Path,
+    name: Option<&str>,
+    dataset: &mut Dataset,
+    hashes: &mut Vec<(String, String)>,
+) -> Result<(), Error> {
+    let Some(name) = name else { return Ok(()) };
+    let path = folder.join(name);
+    let bytes = read(&path)?;
+    hashes.push((name.to_owned(), hash(&bytes)));
+    let times_s = frame_times(&path.display().to_string(), &bytes, dataset)?;
+    for (frame, time_s) in dataset.frames.iter_mut().zip(times_s) {
+        // A number of seconds that is too large for nanoseconds is taken as the largest there is.
+        frame.time_ns = time_s.map(|time_s| (1e9 * time_s).round() as i64);
+    }
+    Ok(())
 }
 
 /// Reads what the job says of a robot, if it has one, and gives the frames their robot poses.
@@ -178,13 +250,7 @@ pub(crate) fn head(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Head,
 
     let target = match (&overrides.target, job.target.take()) {
         (Some(target), _) => target.clone(),
-        (None, Some(TargetDescription::Here(target))) => target,
-        (None, Some(TargetDescription::Points(name))) => {
-            let path = folder.join(&name);
-            let bytes = read(&path)?;
-            hashes.push((name, hash(&bytes)));
-            read_points(&path.display().to_string(), &bytes)?
-        }
+        (None, Some(description)) => described(&folder, description, &mut hashes)?,
         (None, None) => {
             let fix = "add --target chessboard:COLUMNSxROWS:SPACING, such as chessboard:9x6:25mm, or a [target] to the job";
             return Err(config(&place, "the target is not known".to_owned(), fix));
@@ -328,6 +394,41 @@ model = "pinhole"
         // Where each line names its camera there is nothing to tell.
         let refused = load_job(&[folder.path().to_owned()], &overrides).unwrap_err();
         assert!(refused.kind() == Kind::Usage && refused.to_string().contains("says itself"), "{refused}");
+    }
+
+    #[test]
+    fn boards_beside_the_target_have_corners_of_their_own() {
+        let board = "[[board]]\nname = \"wall\"\nkind = \"chessboard:4x3:2cm\"\ncorners = [\"wall.csv\"]\n";
+        let job = format!("{JOB}{board}");
+        let csv = "camera,view,point,u,v\nleft,1,0,5,6\nleft,2,5,5,6\n";
+        let wall = "camera,view,point,u,v\nleft,2,11,7,8\nleft,3,0,7,8\n";
+        let folder = folder(&[(JOB_FILE, &job), ("corners.csv", csv), ("wall.csv", wall)]);
+        let job = load_job(&[folder.path().to_owned()], &JobOverrides::default()).unwrap();
+        let names: Vec<&str> = job.dataset.targets.iter().map(|target| target.name.as_str()).collect();
+        assert_eq!(names, ["target", "wall"]);
+        let views: Vec<(u32, u32)> =
+            job.dataset.views.iter().map(|view| (view.frame.0, view.target.0)).collect();
+        assert_eq!(views, [(0, 0), (1, 0), (1, 1), (2, 1)]);
+        assert_eq!(job.inputs.len(), 3);
+        // A board's points are counted by its own size.
+        std::fs::write(folder.path().join("wall.csv"), wall.replace(",11,", ",12,")).unwrap();
+        let error = load_job(&[folder.path().to_owned()], &JobOverrides::default()).unwrap_err();
+        assert!(matches!(error, Error::PointOutOfRange { points: 12, .. }), "{error}");
+    }
+
+    #[test]
+    fn frames_have_the_times_that_the_job_names() {
+        let job = JOB.replace("[options]", "frame_times = \"times.csv\"\n[options]");
+        let csv = "camera,view,point,u,v\nleft,1,0,5,6\nleft,2,0,5,6\n";
+        let load = |times: &str| {
+            let folder = folder(&[(JOB_FILE, &job), ("corners.csv", csv), ("times.csv", times)]);
+            load_job(&[folder.path().to_owned()], &JobOverrides::default())
+        };
+        let job = load("frame,time_s\n1,0.25\n9,7\n").unwrap();
+        let times_ns: Vec<Option<i64>> = job.dataset.frames.iter().map(|frame| frame.time_ns).collect();
+        assert_eq!(times_ns, [Some(250_000_000), None]);
+        assert_eq!(job.inputs.len(), 3);
+        assert!(load("frame,time_s\n1,soon\n").unwrap_err().to_string().contains("times.csv:2"));
     }
 
     #[test]

@@ -6,6 +6,10 @@
 //! columns = 9                    # inner corners
 //! rows = 6
 //! spacing_m = 0.025
+//! [[board]]                      # optional: more targets, anywhere; each with its own corners
+//! name = "wall"
+//! kind = "chessboard:9x6:25mm"   # or as in [target]
+//! corners = ["wall.csv"]
 //! [[camera]]
 //! name = "left"
 //! image_size = [640, 480]
@@ -18,6 +22,7 @@
 //! recordings = ["drive.mcap"]    # or, instead: MCAP recordings
 //! clock = "header"               # optional, of recordings: which times are believed, or "log"
 //! sync_tolerance_ms = 5.0        # optional, of recordings: how far apart images of one frame may be
+//! frame_times = "times.csv"      # optional, of corners and images: when each frame was taken (frame,time_s)
 //! sigma_px = 1.0                 # optional
 //! [robot]                        # see `robot_input.rs`
 //! [options]                      # the command line's names; read by the pipeline
@@ -42,6 +47,8 @@ use crate::{Error, Place};
 #[derive(Debug, Default)]
 pub(crate) struct JobFile {
     pub target: Option<TargetDescription>,
+    /// The targets beside it.
+    pub boards: Vec<Board>,
     pub cameras: Vec<CameraSpec>,
     pub corners: Vec<String>,
     pub images: Vec<String>,
@@ -50,12 +57,22 @@ pub(crate) struct JobFile {
     pub clock: Option<Clock>,
     /// How far apart in time images of one frame may be, in nanoseconds.
     pub tolerance_ns: Option<i64>,
+    /// The file that tells when frames were taken.
+    pub frame_times: Option<String>,
     pub sigma_px: Option<f64>,
     pub options: toml::Table,
     /// The table `[robot]`, and where it stands.
     pub robot: Option<(RobotTable, Place)>,
     /// The lenses that are known, by camera.
     pub known_lenses: Vec<(String, Camera)>,
+}
+
+/// A target beside the first, and the files with its corners.
+#[derive(Debug)]
+pub(crate) struct Board {
+    pub name: String,
+    pub target: TargetDescription,
+    pub corners: Vec<String>,
 }
 
 /// A target as a job file describes it.
@@ -71,6 +88,8 @@ pub(crate) enum TargetDescription {
 #[serde(deny_unknown_fields)]
 struct Tables {
     target: Option<Spanned<TargetTable>>,
+    #[serde(default, rename = "board")]
+    boards: Vec<Spanned<BoardTable>>,
     #[serde(default, rename = "camera")]
     cameras: Vec<Spanned<CameraTable>>,
     #[serde(default)]
@@ -88,6 +107,19 @@ struct TargetTable {
     rows: Option<u32>,
     spacing_m: Option<Spanned<f64>>,
     file: Option<String>,
+}
+
+/// The keys of a target, a name and files; serde cannot flatten where unknown keys are refused.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BoardTable {
+    name: Spanned<String>,
+    kind: Spanned<String>,
+    columns: Option<u32>,
+    rows: Option<u32>,
+    spacing_m: Option<Spanned<f64>>,
+    file: Option<String>,
+    corners: Vec<String>,
 }
 
 #[derive(Deserialize)]
@@ -112,6 +144,7 @@ struct InputTable {
     recordings: Vec<String>,
     clock: Option<Spanned<String>>,
     sync_tolerance_ms: Option<Spanned<f64>>,
+    frame_times: Option<String>,
     sigma_px: Option<Spanned<f64>>,
 }
 
@@ -125,6 +158,7 @@ pub(crate) fn read_job_file(file: &str, bytes: &[u8]) -> Result<JobFile, Error> 
     let at = |span: std::ops::Range<usize>| Place::line(file, line_of(bytes, span.start));
 
     let target = tables.target.map(|table| read_target(&table, &at)).transpose()?;
+    let boards = read_boards(tables.boards, &at)?;
     let mut cameras: Vec<CameraSpec> = Vec::new();
     let mut known_lenses = Vec::new();
     for table in tables.cameras {
@@ -165,6 +199,16 @@ pub(crate) fn read_job_file(file: &str, bytes: &[u8]) -> Result<JobFile, Error> 
         let message = "[input] names more than one of corners, images and recordings";
         return Err(wrong(Place::file(file), message, Some("calibrate from one of them at a time")));
     }
+    let is_of_images = !tables.input.images.is_empty() || !tables.input.recordings.is_empty();
+    if !boards.is_empty() && is_of_images {
+        let message = "[[board]] beside images or recordings: one target is detected at a time";
+        let fix = "detect each with `boresight detect --target ... -o corners.csv`, and name the corners";
+        return Err(wrong(Place::file(file), message, Some(fix)));
+    }
+    if tables.input.frame_times.is_some() && !tables.input.recordings.is_empty() {
+        let message = "[input] has frame_times beside recordings, whose images have times of their own";
+        return Err(wrong(Place::file(file), message, Some("leave frame_times out")));
+    }
     let clock = match tables.input.clock {
         None => None,
         Some(said) => match said.as_ref().as_str() {
@@ -195,12 +239,14 @@ pub(crate) fn read_job_file(file: &str, bytes: &[u8]) -> Result<JobFile, Error> 
     let robot = robot.map(|(place, table)| (table, place));
     Ok(JobFile {
         target,
+        boards,
         cameras,
         corners: tables.input.corners,
         images: tables.input.images,
         recordings: tables.input.recordings,
         clock,
         tolerance_ns,
+        frame_times: tables.input.frame_times,
         sigma_px,
         options: tables.options,
         robot,
@@ -271,6 +317,31 @@ pub(crate) fn read_points(file: &str, bytes: &[u8]) -> Result<Target, Error> {
     Ok(Target { name: TARGET_NAME.to_owned(), geometry: Geometry::Points { points_m }, shape: Shape::Rigid })
 }
 
+fn read_boards(
+    tables: Vec<Spanned<BoardTable>>,
+    at: &dyn Fn(std::ops::Range<usize>) -> Place,
+) -> Result<Vec<Board>, Error> {
+    let mut boards: Vec<Board> = Vec::new();
+    for table in tables {
+        let span = table.span();
+        let BoardTable { name, kind, columns, rows, spacing_m, file, corners } = table.into_inner();
+        let is_taken = |name: &str| name == TARGET_NAME || boards.iter().any(|board| board.name == name);
+        if name.as_ref().is_empty() || is_taken(name.as_ref()) {
+            let message = format!("there are two targets with the name `{}`", name.as_ref());
+            let fix = format!("names of boards are unique, and `{TARGET_NAME}` is that of [target]");
+            return Err(wrong(at(name.span()), &message, Some(&fix)));
+        }
+        if corners.is_empty() {
+            let message = format!("board `{}` has no corners", name.as_ref());
+            return Err(wrong(at(name.span()), &message, Some("write corners = [\"wall.csv\"]")));
+        }
+        let table = TargetTable { kind, columns, rows, spacing_m, file };
+        let target = read_target(&Spanned::new(span, table), at)?;
+        boards.push(Board { name: name.into_inner(), target, corners });
+    }
+    Ok(boards)
+}
+
 fn read_target(
     table: &Spanned<TargetTable>,
     at: &dyn Fn(std::ops::Range<usize>) -> Place,
@@ -323,9 +394,17 @@ fn read_target(
         }
         other => {
             let known = ["chessboard", "points"];
-            let message = format!("there is no target kind `{other}`; known: {}", known.join(", "));
-            let meant = closest(other, known.into_iter()).map(|meant| format!("did you mean `{meant}`?"));
-            Err(wrong(at(kind.span()), &message, meant.as_deref()))
+            let message = format!(
+                "there is no target kind `{other}`; known: {}, and targets as --target takes them",
+                known.join(", ")
+            );
+            let fix = match closest(other, known.into_iter()) {
+                Some(meant) => format!("did you mean `{meant}`?"),
+                None => {
+                    "write a target in a line, such as kind = \"charuco:14x9:40mm:30mm:5x5_1000\"".to_owned()
+                }
+            };
+            Err(wrong(at(kind.span()), &message, Some(&fix)))
         }
     }
 }
@@ -436,6 +515,17 @@ model = "opencv5"
         refuses("sigma_px = 0.5", "clock = \"sun\"", &["job.toml:14", "clock is `sun`"]);
         refuses("sigma_px = 0.5", "sync_tolerance_ms = -1.0", &["job.toml:14", "sync_tolerance_ms is -1"]);
         refuses("sigma_px = 0.5", "sigma_px = -1.0", &["job.toml:14", "sigma_px is -1"]);
+        refuses(
+            "corners = [\"a.csv\"]",
+            "recordings = [\"a\"]\nframe_times = \"t\"",
+            &["times of their own"],
+        );
+        let board = |keys: &str| format!("[[board]]\n{keys}\n[input]");
+        let wall = "kind = \"chessboard:3x2:1cm\"\ncorners = [\"w.csv\"]";
+        refuses("[input]", &board(&format!("name = \"target\"\n{wall}")), &["job.toml:13", "two targets"]);
+        refuses("[input]", &board(&format!("nam = \"wall\"\n{wall}")), &["job.toml:13", "`name`?"]);
+        let without = "name = \"wall\"\nkind = \"chessboard:3x2:1cm\"\ncorners = []";
+        refuses("[input]", &board(without), &["job.toml:13", "board `wall` has no corners"]);
         refuses("rows = 6", "rows = 6\nfile = \"x\"", &["`file` does not belong"]);
     }
 

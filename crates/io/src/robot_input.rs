@@ -184,7 +184,7 @@ pub(crate) fn load_robot(
 }
 
 /// Reads when frames were taken: a table with the columns `frame` and `time_s`.
-fn frame_times(file: &str, bytes: &[u8], dataset: &Dataset) -> Result<Vec<Option<f64>>, Error> {
+pub(crate) fn frame_times(file: &str, bytes: &[u8], dataset: &Dataset) -> Result<Vec<Option<f64>>, Error> {
     let text = String::from_utf8_lossy(bytes);
     let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     let fields = |line: &str| line.split(',').map(|field| field.trim().to_owned()).collect::<Vec<String>>();

@@ -10,6 +10,8 @@ pub(crate) const LIMIT: usize = 10_000_000;
 pub(crate) struct SeenFile {
     /// The file as the caller named it.
     pub file: String,
+    /// Which of the job's targets its points are of.
+    pub target_idx: usize,
     /// What it says of each image.
     pub views: Vec<SeenView>,
     /// How many corners were given as (-1, -1), and the line of the first.
