@@ -8,6 +8,7 @@ use boresight::{
 };
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::init::InitArguments;
 use crate::inputs::{CameraImages, ClockChoice, ImageSize, Time};
 use crate::robot::RobotCommand;
 use crate::stereo::StereoArguments;
@@ -29,6 +30,8 @@ pub(crate) enum Command {
     Calibrate(CalibrateArguments),
     /// Detect a target in images: corners as a table, and overlays to look at
     Detect(DetectArguments),
+    /// Look at images, a recording or corners, and write a job file that says what the command line says
+    Init(InitArguments),
     /// Tell what is in a dataset or a calibration
     Info(InfoArguments),
     /// Print the matrices P, M and H = P*M of each camera

@@ -15,6 +15,7 @@ mod export;
 mod failure;
 mod figures;
 mod info;
+mod init;
 mod inputs;
 mod matrix;
 mod progress;
@@ -48,6 +49,7 @@ fn run(command: Command) -> Result<ExitCode, Failure> {
     match command {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Detect(arguments) => detect::run(&arguments),
+        Command::Init(arguments) => init::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Matrix(arguments) => matrix::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),

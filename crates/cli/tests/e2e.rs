@@ -4,6 +4,8 @@
 
 #[path = "e2e/bad_inputs.rs"]
 mod bad_inputs;
+#[path = "e2e/begin.rs"]
+mod begin;
 #[path = "e2e/calibrate.rs"]
 mod calibrate;
 #[path = "e2e/hand_eye.rs"]

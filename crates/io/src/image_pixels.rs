@@ -128,6 +128,24 @@ pub fn overlay_to_png(
     Ok(png.into_inner())
 }
 
+/// Returns an image as a PNG, with as many bits as it has.
+pub fn gray_to_png(image: &GrayImage) -> Result<Vec<u8>, Error> {
+    let wrong = |why: String| Error::Image { file: "image".to_owned(), why };
+    let [width, height] = image.size();
+    let buffer = match image.pixels() {
+        GrayPixels::Eight(values) => {
+            image::GrayImage::from_raw(width, height, values.clone()).map(DynamicImage::ImageLuma8)
+        }
+        GrayPixels::Sixteen(values) => {
+            image::ImageBuffer::from_raw(width, height, values.clone()).map(DynamicImage::ImageLuma16)
+        }
+    };
+    let buffer = buffer.ok_or_else(|| wrong("its pixels are too few".to_owned()))?;
+    let mut png = Cursor::new(Vec::new());
+    buffer.write_to(&mut png, image::ImageFormat::Png).map_err(|error| wrong(error.to_string()))?;
+    Ok(png.into_inner())
+}
+
 /// Colours of the rows of a grid.
 const COLOURS: [[u8; 3]; 7] = [
     [255, 60, 60],
@@ -198,5 +216,17 @@ mod tests {
         let shown = image::load_from_memory(&png).unwrap().into_rgb8();
         assert_eq!((shown.get_pixel(10, 10).0, shown.get_pixel(17, 12).0), (COLOURS[0], COLOURS[0]));
         assert_eq!((shown.get_pixel(39, 29).0, shown.get_pixel(2, 2).0), (COLOURS[1], [0; 3]));
+    }
+
+    #[test]
+    fn images_survive_as_png() {
+        for pixels in [
+            GrayPixels::Eight((0..24).map(|i| i * 10).collect()),
+            GrayPixels::Sixteen((0..24).map(|i| i * 2500 + 1).collect()),
+        ] {
+            let image = GrayImage::new([6, 4], pixels).unwrap();
+            let again = image_from_bytes("a.png", &gray_to_png(&image).unwrap()).unwrap();
+            assert_eq!(again.image, image);
+        }
     }
 }

@@ -199,8 +199,8 @@ pub(crate) fn read_job_file(file: &str, bytes: &[u8]) -> Result<JobFile, Error> 
         let message = "[input] names more than one of corners, images and recordings";
         return Err(wrong(Place::file(file), message, Some("calibrate from one of them at a time")));
     }
-    let is_of_images = !tables.input.images.is_empty() || !tables.input.recordings.is_empty();
-    if !boards.is_empty() && is_of_images {
+    let are_detected = !tables.input.images.is_empty() || !tables.input.recordings.is_empty();
+    if are_detected && !boards.is_empty() {
         let message = "[[board]] beside images or recordings: one target is detected at a time";
         let fix = "detect each with `boresight detect --target ... -o corners.csv`, and name the corners";
         return Err(wrong(Place::file(file), message, Some(fix)));

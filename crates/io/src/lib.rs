@@ -67,7 +67,7 @@ pub use h_matrix::{
 };
 pub use image_files::{IMAGE_EXTENSIONS, ImageFile, is_pattern};
 pub use image_job::{ImageJob, SeenImage, load_images, read_image};
-pub use image_pixels::{ReadImage, image_from_bytes, overlay_to_png};
+pub use image_pixels::{ReadImage, gray_to_png, image_from_bytes, overlay_to_png};
 pub use job::{JOB_FILE, Job, JobOverrides, hash, load_job, read_calibration};
 pub use observations_parquet::{
     OBSERVATIONS_SCHEMA, ObservationRow, attach_residuals, observations_to_parquet, read_observations,
@@ -86,4 +86,4 @@ pub use robot_plane_json::{
 };
 pub use robot_table::RobotTable;
 pub use sights_job::{RobotRows, SightsJob, TimedPose, read_sights_job};
-pub use target_spec::parse_target;
+pub use target_spec::{parse_target, target_spec};

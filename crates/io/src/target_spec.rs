@@ -84,6 +84,34 @@ pub fn parse_target(spec: &str) -> Result<Target, Error> {
     }
 }
 
+/// Returns how a target is written for [`parse_target`], lengths to a nanometre; `None` for a set of points.
+pub fn target_spec(target: &Target) -> Option<String> {
+    let short = |number: f64| {
+        let text = format!("{number:.6}");
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    };
+    let mm = |metres: f64| format!("{}mm", short(1e3 * metres));
+    Some(match &target.geometry {
+        Geometry::Chessboard { columns, rows, spacing_m } => {
+            format!("chessboard:{columns}x{rows}:{}", mm(*spacing_m))
+        }
+        Geometry::Charuco { columns, rows, spacing_m, marker_m, dictionary } => {
+            format!("charuco:{columns}x{rows}:{}:{}:{}", mm(*spacing_m), mm(*marker_m), dictionary.name())
+        }
+        Geometry::AprilGrid { columns, rows, tag_m, spacing, dictionary } => {
+            format!("aprilgrid:{columns}x{rows}:{}:{}:{}", mm(*tag_m), short(*spacing), dictionary.name())
+        }
+        Geometry::Circles { columns, rows, spacing_m, layout } => {
+            let kind = match layout {
+                CircleLayout::Symmetric => "circles",
+                CircleLayout::Asymmetric => "acircles",
+            };
+            format!("{kind}:{columns}x{rows}:{}", mm(*spacing_m))
+        }
+        Geometry::Points { .. } => return None,
+    })
+}
+
 /// The kinds of targets that can be written in a line.
 const KINDS: [&str; 5] = ["chessboard", "charuco", "aprilgrid", "circles", "acircles"];
 
@@ -206,6 +234,19 @@ mod tests {
         let circles = |layout| Geometry::Circles { columns: 4, rows: 11, spacing_m: 0.02, layout };
         assert_eq!(geometry("circles:4x11:20mm"), circles(CircleLayout::Symmetric));
         assert_eq!(geometry("acircles:4x11:2cm"), circles(CircleLayout::Asymmetric));
+    }
+
+    #[test]
+    fn targets_are_written_as_they_are_read() {
+        for spec in [
+            "chessboard:9x6:25.4mm",
+            "charuco:14x9:40mm:30.5mm:5x5_1000",
+            "aprilgrid:6x5:88mm:0.3:36h11",
+            "circles:4x11:20mm",
+            "acircles:4x11:58.8mm",
+        ] {
+            assert_eq!(target_spec(&parse_target(spec).unwrap()).as_deref(), Some(spec));
+        }
     }
 
     #[test]
