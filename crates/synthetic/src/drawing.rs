@@ -159,6 +159,31 @@ impl Drawing {
         }
     }
 
+    /// Returns the lowest and the highest place of the print along x and y.
+    pub fn printed(&self) -> ([f64; 2], [f64; 2]) {
+        ([-self.rim; 2], self.extent.map(|last| last + self.rim))
+    }
+
+    /// Returns the middles of the dots and their radius, or `None` if there are none.
+    pub fn dots(&self) -> Option<(&[[f64; 2]], f64)> {
+        match &self.kind {
+            Kind::Dots { dots, radius } => Some((dots, *radius)),
+            _ => None,
+        }
+    }
+
+    /// Returns where the ink may change along an axis between two places, both included, ascending.
+    pub fn boundaries(&self, low: f64, high: f64) -> Vec<f64> {
+        let cells = low.floor() as i64..=high.ceil() as i64;
+        let inner = cells.flat_map(|cell| self.edges.iter().map(move |edge| cell as f64 + edge));
+        let mut boundaries: Vec<f64> = inner.filter(|at| *at > low && *at < high).collect();
+        boundaries.extend([low, high]);
+        boundaries.sort_by(f64::total_cmp);
+        // Edges that rounding tells apart are one.
+        boundaries.dedup_by(|later, earlier| *later - *earlier < 1e-9);
+        boundaries
+    }
+
     /// Tells whether a place is further than `width` units beyond the print.
     pub fn is_beyond(&self, at: [f64; 2], width: f64) -> bool {
         let rim = self.rim + width;

@@ -14,6 +14,7 @@ mod place;
 mod recipe;
 mod render;
 mod simulate;
+mod svg;
 
 pub use drawing::{FirstSquare, Print};
 pub use moving::{Timing, simulate_moving};
@@ -22,3 +23,4 @@ pub use render::{Depth, Exposure, render};
 mod robot;
 pub use robot::{RobotRecipe, add_robot};
 pub use simulate::{Synthetic, simulate};
+pub use svg::svg;
