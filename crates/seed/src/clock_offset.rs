@@ -28,14 +28,16 @@ const LEAST_OVERLAP: f64 = 0.5;
 const LEAST_SPEEDS: usize = 32;
 /// Speeds above this share of all are taken as it: trackers jump now and then.
 const TRIMMED_AT: f64 = 0.98;
-/// The most steps of a recording.
-const MOST_STEPS: f64 = 200_000.0;
+/// The most steps of a recording: all shifts of two such take a second. Longer ones have longer steps.
+const MOST_STEPS: f64 = 20_000.0;
 
 /// Returns how far the clocks of a robot and of a camera are apart, or `None` if the recordings are too short.
 pub fn clock_offset(base_from_flange: &PoseStream, rig_from_target: &PoseStream) -> Option<ClockOffset> {
     let interval_s = base_from_flange.median_interval_s().max(rig_from_target.median_interval_s());
     let window_s = (4.0 * interval_s).max(SHORTEST_WINDOW_S);
-    let step_s = window_s / STEPS;
+    let span_s = |stream: &PoseStream| Some(stream.times_s().last()? - stream.times_s().first()?);
+    let longest_s = span_s(base_from_flange)?.max(span_s(rig_from_target)?);
+    let step_s = (window_s / STEPS).max(longest_s / MOST_STEPS);
     let (robot, robot_begin_s) = speeds(base_from_flange, window_s, step_s)?;
     let (sights, sights_begin_s) = speeds(rig_from_target, window_s, step_s)?;
     let count = |speeds: &[Option<f64>]| speeds.iter().flatten().count();
@@ -79,7 +81,7 @@ fn is_top(shifts: &[Option<f64>], i: usize) -> bool {
 fn speeds(stream: &PoseStream, window_s: f64, step_s: f64) -> Option<(Vec<Option<f64>>, f64)> {
     let (begin_s, end_s) = (*stream.times_s().first()?, *stream.times_s().last()?);
     let begin_s = begin_s + 0.5 * window_s;
-    let n = ((end_s - 0.5 * window_s - begin_s) / step_s).floor().clamp(0.0, MOST_STEPS) as usize;
+    let n = ((end_s - 0.5 * window_s - begin_s) / step_s).floor().max(0.0) as usize;
     let speed = |i: usize| {
         let time_s = begin_s + i as f64 * step_s;
         let (before, after) = (stream.at(time_s - 0.5 * window_s)?, stream.at(time_s + 0.5 * window_s)?);
@@ -97,7 +99,11 @@ fn speeds(stream: &PoseStream, window_s: f64, step_s: f64) -> Option<(Vec<Option
 fn correlation(robot: &[Option<f64>], sights: &[Option<f64>], shift: i64, least: usize) -> Option<f64> {
     let begin = usize::try_from(-shift).unwrap_or(0);
     let ahead = usize::try_from(shift).unwrap_or(0);
-    let overlap = sights.get(begin..)?.iter().zip(robot.get(ahead..)?);
+    let (sights, robot) = (sights.get(begin..)?, robot.get(ahead..)?);
+    if sights.len().min(robot.len()) < least {
+        return None;
+    }
+    let overlap = sights.iter().zip(robot);
     let (mut n, mut x, mut y, mut xx, mut xy, mut yy) = (0usize, 0.0, 0.0, 0.0, 0.0, 0.0);
     for (one, other) in overlap {
         let (Some(one), Some(other)) = (one, other) else { continue };
@@ -146,6 +152,20 @@ mod tests {
             assert!(error_s.abs() < 3e-3 && found.correlation > 0.99, "{late_s}: {found:?}");
             assert!(found.next_correlation < 0.9, "{late_s}: {found:?}");
         }
+        // Two hours, in steps of more than the window's eighth.
+        let slow = |t: f64| {
+            let turn = Vector3::new(
+                0.5 * (0.31 * t).sin(),
+                0.4 * (0.17 * t + 2.0 * (0.0123 * t).sin()).sin(),
+                0.3 * (0.23 * t + 3.0 * (0.0071 * t).cos()).cos(),
+            );
+            Pose::from_rodrigues(turn, Vector3::zeros())
+        };
+        let hours = |late_s: f64| {
+            PoseStream::new((0..36_000).map(|i| f64::from(i) / 5.0).map(|t| (t, slow(t + late_s))))
+        };
+        let found = clock_offset(&hours(0.0), &hours(33.0)).unwrap();
+        assert!((found.offset_s - 33.0).abs() < 0.05, "{found:?}");
         let short = PoseStream::new((0..5).map(|i| (f64::from(i), flange(f64::from(i)))));
         assert_eq!(clock_offset(&robot, &short), None);
         assert_eq!(clock_offset(&PoseStream::default(), &robot), None);
