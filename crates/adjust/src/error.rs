@@ -1,6 +1,6 @@
 //! What can keep a dataset from being adjusted.
 
-use boresight_data::{CameraId, FrameId, TargetId};
+use boresight_data::{CameraId, FrameId, PointId, TargetId};
 
 /// Why a dataset was not adjusted.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -47,6 +47,20 @@ pub enum Error {
         observation_idx: usize,
         /// Its sigma.
         sigma_px: f64,
+    },
+    /// A touch is of a point that does not exist, or nobody knows how good it is.
+    #[error(
+        "touch {touch_idx} (counted from 0) is of point {point} of target {target}, which no camera sees or which does not exist, or its sigma of {sigma_m} m is not positive"
+    )]
+    BadTouch {
+        /// The touch.
+        touch_idx: usize,
+        /// Its target.
+        target: TargetId,
+        /// Its point.
+        point: PointId,
+        /// Its sigma in metres, in units of the pixels'.
+        sigma_m: f64,
     },
     /// There are fewer equations than unknowns.
     #[error(

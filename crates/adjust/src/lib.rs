@@ -20,6 +20,7 @@ mod reprojection;
 mod rig_problem;
 mod robot;
 mod robot_noise;
+mod robot_touch;
 mod sighted_point;
 mod stand_in;
 mod suspects;
@@ -41,6 +42,7 @@ pub use pose_fit::{Arm, HandEyeModel, JointModel, PoseFit, PoseFitError, PoseMod
 pub use reprojection::{Layouts, Reprojection, TargetPoints};
 pub use rig_problem::mrcal22_rows;
 pub use robot_noise::{EstimatedNoise, estimate_robot_noise};
+pub use robot_touch::{RobotTouch, RobotTouches};
 pub use sighted_point::{Sight, SightedPoint, SightedPointError, sighted_point};
 pub use time_offset::{TimeOffset, Timed, adjust_times};
 pub use touch::{

@@ -9,6 +9,8 @@ use boresight_geometry::Pose;
 use boresight_solver::Checkpointing;
 pub use boresight_solver::{Observer, Progress};
 
+use crate::robot_touch::RobotTouches;
+
 /// How to adjust.
 #[derive(Clone, Debug)]
 pub struct AdjustOptions {
@@ -25,6 +27,9 @@ pub struct AdjustOptions {
     pub time_offsets: Vec<CameraId>,
     /// How far the robot's readings are off; `None` takes them as exact.
     pub robot_noise: Option<RobotNoise>,
+    /// Points of targets that the robot's tip touched; `None` where there are none. Without a robot in the scene they
+    /// tell nothing.
+    pub robot_touches: Option<RobotTouches>,
     /// What is believed beforehand, with its covariance.
     pub priors: Vec<Prior>,
     /// What several cameras have in common.
@@ -52,6 +57,7 @@ impl Default for AdjustOptions {
             holds: Vec::new(),
             time_offsets: Vec::new(),
             robot_noise: None,
+            robot_touches: None,
             priors: Vec::new(),
             shares: Vec::new(),
             threads: 0,

@@ -287,6 +287,16 @@ fn columns(dataset: &Dataset, rig: &RigProblem) -> Vec<(String, (BlockId, usize)
                 POSE_COLUMNS.iter().enumerate().map(|(k, name)| (format!("robot.{pose}.{name}"), (block, k))),
             );
         }
+        let bearer = match robot.mounting {
+            Mounting::RigOnFlange => "flange",
+            Mounting::RigInBase => "base",
+        };
+        if let Some(tip) = rig.robot.tip {
+            let axes = ["x_m", "y_m", "z_m"];
+            columns.extend(
+                axes.iter().enumerate().map(|(k, name)| (format!("robot.tip_in_{bearer}.{name}"), (tip, k))),
+            );
+        }
     }
     columns
 }

@@ -17,6 +17,7 @@ use crate::error::Error;
 use crate::options::{AdjustOptions, Hold, Prior, Quantity, Regularization, RobotNoise, Share};
 use crate::reprojection::{Layouts, Reprojection, TargetPoints};
 use crate::robot::RobotPart;
+use crate::robot_touch::RobotTouch;
 
 /// Expected size of a rational lens's radial coefficients.
 const RATIONAL_SIGMA: f64 = 2.0;
@@ -116,6 +117,7 @@ impl RigProblem {
             beliefs: Vec::new(),
         };
         problem.add_views(dataset, scene, options.robot_noise)?;
+        problem.add_touches(dataset, options)?;
         problem.hold(&options.holds);
         problem.add_regularization(dataset, scene, options);
         problem.add_beliefs(&options.priors)?;
@@ -187,6 +189,23 @@ impl RigProblem {
                 Reprojection::new(model, camera.lens, shape, chain, points, observations, &mut layouts);
             self.views.push((view_idx, term));
         }
+        Ok(())
+    }
+
+    /// Adds a term for each touch of a target.
+    fn add_touches(&mut self, dataset: &Dataset, options: &AdjustOptions) -> Result<(), Error> {
+        let Some(touches) = &options.robot_touches else { return Ok(()) };
+        for (touch_idx, &RobotTouch { target, point, .. }) in touches.touches.iter().enumerate() {
+            let is_there = dataset.targets.get(target).is_some_and(|info| point.index() < info.point_count())
+                && (target.index() == 0 || self.targets[target].first_from_target.is_some());
+            let sigma_m = touches.sigma_m;
+            if !(is_there && sigma_m > 0.0 && sigma_m.is_finite()) {
+                return Err(Error::BadTouch { touch_idx, target, point, sigma_m });
+            }
+        }
+        let targets = &self.targets;
+        let blocks_of = |target: TargetId| [targets[target].first_from_target, targets[target].shape];
+        self.robot.add_touches(dataset, touches, options.robot_noise, blocks_of, &mut self.parameters);
         Ok(())
     }
 

@@ -1,6 +1,6 @@
 //! The robot's part of a problem: where rig and target sit on it, and how far its readings are believed.
 
-use boresight_data::{Dataset, FrameId, IdVec, Mounting, Robot, Scene, Stretch};
+use boresight_data::{Dataset, FrameId, IdVec, Mounting, Robot, Scene, Stretch, TargetId};
 use boresight_geometry::nalgebra::SMatrix;
 use boresight_geometry::{Matrix3, Pose, Vector3, Vector6, left_jacobian_inverse, skew};
 use boresight_solver::{
@@ -9,6 +9,8 @@ use boresight_solver::{
 
 use crate::chain::Link;
 use crate::options::RobotNoise;
+use crate::robot_touch::{RobotTouches, Told, TouchBlocks, TouchedPoint};
+use crate::touch::TipKnowledge;
 
 /// How well a height that is held is known, in metres.
 const HELD_HEIGHT_SIGMA_M: f64 = 1e-7;
@@ -35,6 +37,12 @@ pub(crate) struct RobotPart {
     pub stretch: Option<StretchBlock>,
     /// The height that is held, where one is.
     pub height: Option<PosePrior>,
+    /// The touching tip on what bears the rig, where points of targets were touched.
+    pub tip: Option<BlockId>,
+    /// These touches.
+    pub touched: Vec<TouchedPoint>,
+    /// What the robot said in them, where that is not exact.
+    pub touch_readings: Vec<RobotReading>,
 }
 
 impl RobotPart {
@@ -95,6 +103,73 @@ impl RobotPart {
         Some([Link::Inverse(blocks.carrier_from_rig), link, Link::Block(blocks.other_from_first)])
     }
 
+    /// Adds terms for points of targets that were touched. `blocks_of` returns a target's place and shape.
+    pub(crate) fn add_touches(
+        &mut self,
+        dataset: &Dataset,
+        touches: &RobotTouches,
+        noise: Option<RobotNoise>,
+        blocks_of: impl Fn(TargetId) -> [Option<BlockId>; 2],
+        parameters: &mut Parameters,
+    ) {
+        let Some(robot) = self.blocks else { return };
+        let (RobotBlocks { mounting, other_from_first, .. }, stretch) = (robot, self.stretch.as_ref());
+        let stretch = stretch.map(|stretch| (stretch.block, stretch.centre_in_base));
+        let tip = match touches.tip_in_carrier {
+            TipKnowledge::Known(tip) => tip,
+            TipKnowledge::Unknown => {
+                // Where the touched points are on the tip's bearer, in the mean.
+                let sum: Vector3<f64> = touches
+                    .touches
+                    .iter()
+                    .map(|touch| {
+                        let [first_from_target, shape] = blocks_of(touch.target);
+                        let values = parameters.values();
+                        let target = &dataset.targets[touch.target];
+                        let point =
+                            target.point(touch.point, shape.map_or(&[], |block| values.vector(block)));
+                        let first = first_from_target.map_or_else(Pose::identity, |block| values.pose(block));
+                        let carrier_from_other = match mounting {
+                            Mounting::RigOnFlange => touch.base_from_flange.inverse(),
+                            Mounting::RigInBase => touch.base_from_flange,
+                        };
+                        carrier_from_other * (values.pose(other_from_first) * (first * point))
+                    })
+                    .sum();
+                (sum / touches.touches.len().max(1) as f64).into()
+            }
+        };
+        let tip = parameters.add_vector(&tip);
+        if let TipKnowledge::Known(_) = touches.tip_in_carrier {
+            parameters.hold_all(tip);
+        }
+        self.tip = Some(tip);
+        for touch in &touches.touches {
+            let told = match noise {
+                None => Told::Exactly(touch.base_from_flange),
+                Some(noise) => {
+                    let block = parameters.add_pose(&touch.base_from_flange, Elimination::First);
+                    self.touch_readings.push(RobotReading::new(
+                        block,
+                        touch.base_from_flange,
+                        noise,
+                        stretch,
+                    ));
+                    Told::Block(block)
+                }
+            };
+            let [first_from_target, shape] = blocks_of(touch.target);
+            let blocks = TouchBlocks { mounting, other_from_first, tip, first_from_target, shape };
+            let target = &dataset.targets[touch.target];
+            self.touched.push(TouchedPoint::new(&blocks, told, target, touch.point, touches.sigma_m));
+        }
+    }
+
+    /// Returns the readings of frames and of touches.
+    pub(crate) fn all_readings(&self) -> impl Iterator<Item = &RobotReading> {
+        self.readings.iter().map(|(_, reading)| reading).chain(&self.touch_readings)
+    }
+
     /// Holds the height in the robot's base of what the base bears.
     pub(crate) fn hold_height(&mut self, parameters: &Parameters) {
         self.height = self.blocks.map(|blocks| {
@@ -110,7 +185,10 @@ impl RobotPart {
     /// Writes what `values` say of the robot, and of the frames it tells of, into `scene`.
     pub(crate) fn write(&self, dataset: &Dataset, values: Values<'_>, scene: &mut Scene) {
         let Some(blocks) = self.blocks else { return };
-        let tip_in_flange = scene.robot.as_ref().and_then(|robot| robot.tip_in_flange);
+        // A pointer in the work cell is no part of the robot.
+        let tip = self.tip.filter(|_| blocks.mounting == Mounting::RigOnFlange);
+        let tip = tip.map(|block| Vector3::from_column_slice(values.vector(block)));
+        let tip_in_flange = tip.or(scene.robot.as_ref().and_then(|robot| robot.tip_in_flange));
         let before = scene.robot.as_ref().and_then(|robot| robot.stretch);
         let now = self
             .stretch
@@ -136,7 +214,8 @@ impl RobotPart {
 
     /// Returns the terms beside the views'.
     pub(crate) fn terms(&self) -> impl Iterator<Item = &dyn Term> {
-        let readings = self.readings.iter().map(|(_, reading)| reading as &dyn Term);
+        let readings = self.all_readings().map(|reading| reading as &dyn Term);
+        let readings = readings.chain(self.touched.iter().map(|touched| touched as &dyn Term));
         let stretch = self.stretch.iter().map(|stretch| &stretch.belief as &dyn Term);
         readings.chain(stretch).chain(self.height.iter().map(|height| height as &dyn Term))
     }

@@ -130,7 +130,7 @@ impl Groups {
         let values = rig.parameters.values();
         let covariance = covariance(&problem, values.as_slice(), options)?;
         let (mut rotations, mut translations) = (Group::default(), Group::default());
-        for (_, reading) in &rig.robot.readings {
+        for reading in rig.robot.all_readings() {
             let (residuals, jacobian) = reading.rows(values);
             // The rows' own variances come from pose and map together; what both share is in the cross terms.
             let own = covariance.eliminated(reading.pose()).unwrap_or_default();
@@ -164,11 +164,14 @@ impl Groups {
         }
         let n_pixels: usize = rig.views.iter().map(|(_, term)| term.row_count()).sum();
         let n_priors: usize = rig.priors.iter().map(Term::row_count).sum();
-        let n_robot = 6 * rig.robot.readings.len();
+        let n_robot = 6 * rig.robot.all_readings().count();
+        // Touches have a sigma that is stated, as pixels have, and few of them change nothing about the pixels' factor.
+        let n_touched: usize = rig.robot.touched.iter().map(Term::row_count).sum();
         // Redundancies of all groups add up to rows minus unknowns. What few priors there are count as
         // much as they have rows, which is right where they decide and off by one at most elsewhere.
         let n_stretch = if rig.robot.stretch.is_some() { 9 } else { 0 };
-        let all = (n_pixels + n_priors + n_robot + n_stretch) as f64 - rig.parameters.free_count() as f64;
+        let all = (n_pixels + n_touched + n_priors + n_robot + n_stretch) as f64
+            - rig.parameters.free_count() as f64;
         let pixels = Group {
             cost: covariance.observation_cost - rotations.cost - translations.cost,
             redundancy: (all - rotations.redundancy - translations.redundancy - stretch.redundancy).max(1.0),

@@ -144,6 +144,17 @@ pub enum Error {
         /// The sights.
         sights: usize,
     },
+    /// Readings of joints and sights of the target cannot be paired.
+    #[error("there are {readings} rows of joints and {sights} sights; they are paired row by row")]
+    UnpairedJoints {
+        /// The rows of joints.
+        readings: usize,
+        /// The sights.
+        sights: usize,
+    },
+    /// The rows of a robot that moved belong to no frames until clocks are set.
+    #[error("the robot moved (frame_times), so that its rows belong to no frames until the clocks are set")]
+    MovingRobot,
     /// Poses that were seen do not determine what is sought.
     #[error("{0}")]
     PoseFit(#[from] boresight_adjust::PoseFitError),
@@ -172,8 +183,11 @@ impl Error {
             | Error::NoParameter { .. }
             | Error::LensesApart { .. }
             | Error::Noncentral { .. }
+            | Error::MovingRobot
             | Error::NoRobotPoses => ErrorKind::Usage,
-            Error::UnreadablePoses { .. } | Error::Unpaired { .. } => ErrorKind::Input,
+            Error::UnreadablePoses { .. } | Error::Unpaired { .. } | Error::UnpairedJoints { .. } => {
+                ErrorKind::Input
+            }
             Error::Degenerate(_)
             | Error::NoClosedForm { .. }
             | Error::PoseFit(_)
@@ -213,6 +227,10 @@ impl Error {
             Error::Unpaired { .. } => {
                 text("give each row of both a time (column time_s), or as many rows of one as of the other")
             }
+            Error::UnpairedJoints { .. } => text("give as many rows of joints as sights, in their order"),
+            Error::MovingRobot => text(
+                "`boresight robot hand-eye` sets the clocks; conventions are tried on frames of a robot that stood",
+            ),
             Error::PoseFit(_) | Error::Joints(_) => {
                 text("add rows in which the robot, or each joint by itself, turned by 30 degrees or more")
             }

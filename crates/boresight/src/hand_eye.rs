@@ -19,14 +19,14 @@ mod while_moving;
 mod working_points;
 
 use boresight_adjust::{
-    AdjustOptions, EstimatedNoise, HeldOut, Hold, Rejection, RobotNoise, adjust, estimate_robot_noise,
-    leave_one_out, optimize,
+    AdjustOptions, EstimatedNoise, HeldOut, Hold, Rejection, RobotNoise, RobotTouch, RobotTouches,
+    TipKnowledge, adjust, estimate_robot_noise, leave_one_out, optimize,
 };
 use boresight_data::{
-    Calibration, Dataset, Finding, FrameId, Id as _, Mounting, RejectionReason, Robot, Scene,
+    Calibration, Dataset, Finding, FrameId, Id as _, Mounting, RejectionReason, Robot, Scene, TargetId,
 };
 use boresight_geometry::{Pose, Vector3};
-use boresight_io::{Job, RobotAxes};
+use boresight_io::{Job, RobotAxes, TouchInput};
 use boresight_seed::hand_eye::{HandEye, Method, PosePair, hand_eye as closed_form, pose_pair};
 use boresight_validate::verdict;
 
@@ -140,6 +140,8 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     if robot.axes == RobotAxes::Four {
         exact.holds.push(Hold::BaseHeight);
     }
+    let factor = first.calibration.uncertainty.noise_factor.max(1e-9);
+    exact.robot_touches = robot.touches.as_ref().map(|touches| touched(touches, factor));
     let mut seed = first.calibration.scene.clone();
     seed.robot = Some(Robot::mounted(mounting, hand_eye.carrier_from_rig, hand_eye.other_from_target));
     let seed = optimize(&dataset, &seed, &exact)?.scene;
@@ -163,7 +165,6 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     match options.noise {
         NoiseChoice::None => {}
         NoiseChoice::Known(noise) => {
-            let factor = first.calibration.uncertainty.noise_factor.max(1e-9);
             let relative = RobotNoise {
                 rotation_rad: noise.rotation_rad / factor,
                 translation_m: noise.translation_m / factor,
@@ -176,7 +177,6 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
             )?;
         }
         NoiseChoice::Estimated => {
-            let factor = first.calibration.uncertainty.noise_factor.max(1e-9);
             let start =
                 RobotNoise { rotation_rad: 1e-3 / factor, translation_m: 1e-3 / factor, stretch: None };
             let noise = estimate_robot_noise(&dataset, &with_first_lenses, start, &exact)?;
@@ -237,6 +237,19 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     let chosen = n_closed + chosen;
     let clock = moving.as_ref().map(|moving| moving.clock);
     Ok(HandEyeOutcome { outcome, mounting, methods, chosen, frames, noise, working_points, clock, jackknife })
+}
+
+/// Returns touches for an adjustment whose residuals are in units of the pixels' stated sigmas.
+fn touched(touches: &TouchInput, noise_factor: f64) -> RobotTouches {
+    let target = TargetId::from_index(0);
+    let of_points = touches.points.iter().zip(&touches.base_from_flange);
+    RobotTouches {
+        tip_in_carrier: touches.tip_m.map_or(TipKnowledge::Unknown, TipKnowledge::Known),
+        sigma_m: touches.sigma_m / noise_factor,
+        touches: of_points
+            .map(|(&point, &base_from_flange)| RobotTouch { base_from_flange, target, point })
+            .collect(),
+    }
 }
 
 /// A frame of which both the robot and the cameras tell.

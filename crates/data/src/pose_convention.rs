@@ -9,7 +9,7 @@ use boresight_geometry::{Matrix3, Pose, UnitQuaternion, Vector3};
 /// A row of a table of poses, as it was written.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoseRow {
-    /// The frame it belongs to, where the table says.
+    /// The frame it belongs to, or the point that was touched, where the table says.
     pub frame: Option<String>,
     /// When it was taken, in seconds, where the table says.
     pub time_s: Option<f64>,

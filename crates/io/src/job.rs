@@ -180,7 +180,8 @@ pub(crate) fn set_times(
     let path = folder.join(name);
     let bytes = read(&path)?;
     hashes.push((name.to_owned(), hash(&bytes)));
-    let times_s = frame_times(&path.display().to_string(), &bytes, dataset)?;
+    let file = path.display().to_string();
+    let times_s = frame_times(&file, &bytes, dataset, &Place::file(&file))?;
     for (frame, time_s) in dataset.frames.iter_mut().zip(times_s) {
         // A number of seconds that is too large for nanoseconds is taken as the largest there is.
         frame.time_ns = time_s.map(|time_s| (1e9 * time_s).round() as i64);

@@ -79,7 +79,7 @@ pub use recording::{
     RecordingJob, RecordingOptions, RecordingWriter, SeenRecorded, StatedCamera, Survey, Topic,
     load_recordings, survey_recordings,
 };
-pub use robot_input::{RobotAxes, RobotInput, RobotOverrides};
+pub use robot_input::{RobotAxes, RobotInput, RobotOverrides, TouchInput};
 pub use robot_job::{RobotJob, read_robot_job};
 pub use robot_plane_json::{
     PLANE_SCHEMA, PlaneDocument, TouchDocument, TriedDocument, plane_to_json, read_plane,

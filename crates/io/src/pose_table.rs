@@ -2,7 +2,7 @@
 //!
 //! - `.csv` with a header: `x_m,y_m,z_m` or `x_mm,y_mm,z_mm`; then `qx,qy,qz,qw` in any order, or
 //!   `rx_rad,ry_rad,rz_rad` (a rotation vector), or `a_deg,b_deg,c_deg` / `a_rad,b_rad,c_rad` (angles that
-//!   the convention explains); `frame` and `time_s` if they are known.
+//!   the convention explains); `frame` (of touches `point`) and `time_s` if they are known.
 //! - text with 16 (row by row), 12, 7, 6 numbers in a line, or 8 with the time before them, without a header.
 //! - `.yaml`: one column of six numbers under `data:`, position and rotation vector.
 
@@ -220,6 +220,7 @@ impl Header {
             (None, Some(position)) => (position, LengthUnit::Millimetres),
             (None, None) => return Err(missing("x_m")),
         };
+        let frame = at("frame").or_else(|| at("point"));
         // Angles are of one unit; other numbers have none.
         let columns = |columns: RotationColumns, unit: &str| -> Option<Vec<usize>> {
             columns.names().iter().map(|name| at(&format!("{name}{unit}"))).collect()
@@ -234,7 +235,7 @@ impl Header {
         let plain = |kind| PoseConvention { length, angle, ..PoseConvention::plain(kind) };
         Ok(Self {
             n_columns: fields.len(),
-            frame: at("frame"),
+            frame,
             time: at("time_s"),
             position: [position[0], position[1], position[2]],
             rotation,

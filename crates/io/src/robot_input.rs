@@ -8,11 +8,15 @@
 //! axes = 4                     # for robots that turn about the base's z only
 //! height_m = 0.012             # for these: the height of target or fixed camera in the base
 //! frame_times = "times.csv"    # for robots that moved: frame,time_s by the camera's clock; poses then need times
+//! touches = "touches.csv"      # points of the first target that a tip touched: point, counted from 0, and a pose
+//! touch_sigma_mm = 0.1         # how far a touch misses its point along each axis
+//! tip_mm = [0.0, 0.0, 150.0]   # the tip on what bears the cameras, flange or base; left out, it is estimated
 //! ```
 
 use std::path::Path;
 
-use boresight_data::{Dataset, Mounting, PoseConvention, PoseRow};
+use boresight_data::{Dataset, Id as _, Mounting, PointId, PoseConvention, PoseRow};
+use boresight_geometry::Pose;
 use serde::Deserialize;
 
 use crate::job::{hash, read};
@@ -30,6 +34,9 @@ pub(crate) struct RobotTable {
     pub axes: Option<u8>,
     pub height_m: Option<f64>,
     pub frame_times: Option<String>,
+    pub touches: Option<String>,
+    pub touch_sigma_mm: Option<f64>,
+    pub tip_mm: Option<[f64; 3]>,
 }
 
 /// A robot as a job describes it.
@@ -50,6 +57,21 @@ pub struct RobotInput {
     /// For robots that moved: when each frame was taken, in seconds by the camera's clock; empty for robots that
     /// stood, whose rows are tied to frames.
     pub frame_times_s: Vec<Option<f64>>,
+    /// Points of the first target that a tip touched.
+    pub touches: Option<TouchInput>,
+}
+
+/// Points of the first target that a tip touched.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TouchInput {
+    /// The points.
+    pub points: Vec<PointId>,
+    /// For each, what the robot said of its flange.
+    pub base_from_flange: Vec<Pose>,
+    /// How far a touch misses its point along each axis, in metres.
+    pub sigma_m: f64,
+    /// The tip on what bears the cameras, in metres; `None` is to be estimated.
+    pub tip_m: Option<[f64; 3]>,
 }
 
 impl RobotInput {
@@ -159,17 +181,40 @@ pub(crate) fn load_robot(
         Some(mounting) => Some(mounting),
         None => table.mount.as_ref().map(|word| mounting(word, place)).transpose()?,
     };
+    let mut touches = None;
+    if let Some(name) = &table.touches {
+        let bytes = read(&folder.join(name))?;
+        hashes.push((name.clone(), hash(&bytes)));
+        let file = folder.join(name).display().to_string();
+        touches = Some(read_touches(
+            &file,
+            &bytes,
+            table,
+            overrides.convention.or(stated),
+            convention,
+            dataset,
+            place,
+        )?);
+    }
     if let Some(name) = &table.frame_times {
         let path = folder.join(name);
         let bytes = read(&path)?;
         hashes.push((name.clone(), hash(&bytes)));
-        let frame_times_s = frame_times(&path.display().to_string(), &bytes, dataset)?;
+        let frame_times_s = frame_times(&path.display().to_string(), &bytes, dataset, place)?;
+        if axes == RobotAxes::Four {
+            let message =
+                "[robot] has frame_times and axes = 4: the clocks of a robot that turns about one axis only \
+                           cannot be set by how its poses follow each other"
+                    .to_owned();
+            return Err(config(message, "take frames while the robot stands, and leave frame_times out"));
+        }
         if rows.iter().any(|row| row.time_s.is_none()) {
             let message = "[robot] has frame_times, and rows of the poses have no time".to_owned();
             return Err(config(message, "add a column time_s to the poses, by the robot's clock"));
         }
         let (row_of_frame, height_m) = (vec![None; dataset.frames.len()], table.height_m);
-        let robot = RobotInput { mounting, rows, convention, row_of_frame, axes, height_m, frame_times_s };
+        let robot =
+            RobotInput { mounting, rows, convention, row_of_frame, axes, height_m, frame_times_s, touches };
         return Ok(Some((robot, hashes)));
     }
     let row_of_frame = rows_of_frames(dataset, &rows, place)?;
@@ -179,12 +224,62 @@ pub(crate) fn load_robot(
         frame.base_from_flange = convention.base_from_flange(&rows[*row_idx]);
     }
     let (height_m, frame_times_s) = (table.height_m, Vec::new());
-    let robot = RobotInput { mounting, rows, convention, row_of_frame, axes, height_m, frame_times_s };
+    let robot =
+        RobotInput { mounting, rows, convention, row_of_frame, axes, height_m, frame_times_s, touches };
     Ok(Some((robot, hashes)))
 }
 
+/// Reads which points were touched: a table with the columns `point` and a pose, in the convention that is stated, or
+/// the header's, or that of the robot's other poses.
+fn read_touches(
+    file: &str,
+    bytes: &[u8],
+    table: &RobotTable,
+    stated: Option<PoseConvention>,
+    of_poses: PoseConvention,
+    dataset: &Dataset,
+    place: &Place,
+) -> Result<TouchInput, Error> {
+    let config = |message: String, fix: &str| Error::Config {
+        place: place.clone(),
+        message,
+        fix: Some(fix.to_owned()),
+    };
+    let read = read_pose_table(file, bytes)?;
+    let convention = stated.or(read.convention).unwrap_or(of_poses);
+    let sigma_mm = table.touch_sigma_mm.filter(|sigma_mm| sigma_mm.is_finite() && *sigma_mm > 0.0);
+    let sigma_mm = sigma_mm.ok_or_else(|| {
+        let message = "[robot] has touches, and no `touch_sigma_mm` that is positive".to_owned();
+        config(message, "write how far a touch misses its point, such as touch_sigma_mm = 0.1")
+    })?;
+    let n_points = dataset.targets.iter().next().map_or(0, |target| target.point_count());
+    let (mut points, mut base_from_flange) = (Vec::new(), Vec::new());
+    for (i, row) in read.rows.iter().enumerate() {
+        let point = row.frame.as_deref().and_then(|text| text.parse::<usize>().ok());
+        let point = point.filter(|point| *point < n_points).ok_or_else(|| {
+            let said = row.frame.as_deref().unwrap_or("nothing");
+            let message =
+                format!("touch {} of {file} is of {said}, which is no point of the first target", i + 1);
+            config(message, "let the column `point` count the points of the target from 0")
+        })?;
+        let pose = convention.base_from_flange(row).ok_or_else(|| {
+            let message = format!("touch {} of {file} is no pose in the convention {convention}", i + 1);
+            config(message, "write touches as the robot's other poses")
+        })?;
+        points.push(PointId::from_index(point));
+        base_from_flange.push(pose);
+    }
+    let tip_m = table.tip_mm.map(|tip_mm| tip_mm.map(|mm| 1e-3 * mm));
+    Ok(TouchInput { points, base_from_flange, sigma_m: 1e-3 * sigma_mm, tip_m })
+}
+
 /// Reads when frames were taken: a table with the columns `frame` and `time_s`.
-pub(crate) fn frame_times(file: &str, bytes: &[u8], dataset: &Dataset) -> Result<Vec<Option<f64>>, Error> {
+pub(crate) fn frame_times(
+    file: &str,
+    bytes: &[u8],
+    dataset: &Dataset,
+    place: &Place,
+) -> Result<Vec<Option<f64>>, Error> {
     let text = String::from_utf8_lossy(bytes);
     let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     let fields = |line: &str| line.split(',').map(|field| field.trim().to_owned()).collect::<Vec<String>>();
@@ -217,7 +312,20 @@ pub(crate) fn frame_times(file: &str, bytes: &[u8], dataset: &Dataset) -> Result
             times_s[known] = Some(time_s);
         }
     }
+    if times_s.iter().all(Option::is_none) {
+        return Err(of_no_frame("frame_times", dataset, place));
+    }
     Ok(times_s)
+}
+
+/// Returns the error of a table none of whose rows is of a frame.
+fn of_no_frame(table: &str, dataset: &Dataset, place: &Place) -> Error {
+    let names: Vec<&str> = dataset.frames.iter().take(3).map(|frame| frame.name.as_str()).collect();
+    Error::Config {
+        place: place.clone(),
+        message: format!("no row of {table} is of a frame of the corners ({}, ...)", names.join(", ")),
+        fix: Some("let the column `frame` name the frames as `boresight info` lists them".to_owned()),
+    }
 }
 
 /// Ties rows to frames: by name where the table has names, else by order, one row for each frame.
@@ -234,13 +342,7 @@ fn rows_of_frames(dataset: &Dataset, rows: &[PoseRow], place: &Place) -> Result<
             .map(|frame| rows.iter().position(|row| row.frame.as_deref() == Some(frame.name.as_str())))
             .collect();
         if found.iter().flatten().count() == 0 {
-            let names: Vec<&str> = dataset.frames.iter().take(3).map(|frame| frame.name.as_str()).collect();
-            let message =
-                format!("no row of the poses is of a frame of the corners ({}, ...)", names.join(", "));
-            return Err(config(
-                message,
-                "let the column `frame` name the frames as `boresight info` lists them",
-            ));
+            return Err(of_no_frame("the poses", dataset, place));
         }
         return Ok(found);
     }

@@ -2,10 +2,15 @@
 //! of a solve.
 
 use boresight_adjust::{
-    AdjustOptions, Error, Rejection, RobotNoise, adjust, estimate_robot_noise, leave_one_out, optimize,
+    AdjustOptions, Error, Rejection, RobotNoise, RobotTouch, RobotTouches, TipKnowledge, adjust,
+    estimate_robot_noise, leave_one_out, optimize,
 };
+use boresight_data::{Id as _, Mounting, PointId, TargetId};
+use boresight_geometry::nalgebra::SMatrix;
 use boresight_geometry::{Matrix6, Pose, Vector3};
 use boresight_synthetic::{Recipe, RobotRecipe, Synthetic, add_robot, simulate};
+use rand_chacha::rand_core::SeedableRng as _;
+use rand_distr::{Distribution, StandardNormal};
 use rustix::time::{ClockId, clock_gettime};
 
 const NOISE: RobotNoise = RobotNoise { rotation_rad: 6e-4, translation_m: 4e-4, stretch: None };
@@ -44,13 +49,21 @@ fn options(noise: Option<RobotNoise>) -> AdjustOptions {
     AdjustOptions { rejection: Rejection::None, robot_noise: noise, ..AdjustOptions::default() }
 }
 
-/// Returns the covariance of the rig's pose on its carrier.
-fn covariance_of_rig(calibration: &boresight_data::Calibration) -> Matrix6<f64> {
+/// Returns the covariance of one of the robot's poses.
+fn covariance_of(calibration: &boresight_data::Calibration, name: &str) -> Matrix6<f64> {
     let uncertainty = &calibration.uncertainty;
-    let is_rig = |name: &String| name.ends_with("_from_rig.rx_rad") && name.starts_with("robot.");
+    let is_rig = |known: &String| known.ends_with(name) && known.starts_with("robot.");
     let first = uncertainty.names.iter().position(is_rig).unwrap();
     let n = uncertainty.names.len();
     Matrix6::from_fn(|a, b| uncertainty.covariance[(first + a) * n + first + b])
+}
+
+/// Returns the derivative of a place by a left perturbation of the pose that takes a point there.
+fn by_pose(place: &Vector3<f64>) -> SMatrix<f64, 3, 6> {
+    let mut by_pose = SMatrix::<f64, 3, 6>::zeros();
+    by_pose.fixed_view_mut::<3, 3>(0, 0).copy_from(&-boresight_geometry::skew(place));
+    by_pose.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
+    by_pose
 }
 
 #[test]
@@ -63,15 +76,13 @@ fn positions_in_the_base_scatter_as_stated() {
             let made = recording(recipe.clone(), robot, seed);
             let calibration = adjust(&made.dataset, &made.truth, &options(Some(NOISE)), None).unwrap();
             let found = calibration.scene.robot.as_ref().unwrap().carrier_from_rig();
-            let covariance = covariance_of_rig(&calibration);
+            let covariance = covariance_of(&calibration, "_from_rig.rx_rad");
             // Points where the rig saw the board's middle.
             for rig_from_target in made.truth.rig_from_target.iter().flatten().take(6) {
                 let point_in_rig = *rig_from_target * Vector3::new(0.2, 0.15, 0.0);
                 let true_place = robot.carrier_from_rig * point_in_rig;
                 scatter += (found * point_in_rig - true_place).norm_squared();
-                let mut by_pose = boresight_geometry::nalgebra::SMatrix::<f64, 3, 6>::zeros();
-                by_pose.fixed_view_mut::<3, 3>(0, 0).copy_from(&-boresight_geometry::skew(&true_place));
-                by_pose.fixed_view_mut::<3, 3>(0, 3).fill_with_identity();
+                let by_pose = by_pose(&true_place);
                 stated += (by_pose * covariance * by_pose.transpose()).trace();
             }
         }
@@ -82,11 +93,130 @@ fn positions_in_the_base_scatter_as_stated() {
     }
 }
 
+const TOUCH_SIGMA_M: f64 = 1e-4;
+
+/// Returns touches of nine points of the board, each by another turn of the flange, as a noisy robot tells them.
+fn touches(made: &Synthetic, robot: &RobotRecipe, tip: TipKnowledge, seed: u64) -> RobotTouches {
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let mut normal =
+        |sigma: f64| Vector3::from_fn(|_, _| sigma * Distribution::<f64>::sample(&StandardNormal, &mut rng));
+    let target = TargetId::from_index(0);
+    let (board, belief) = (&made.dataset.targets[target], &made.truth.targets[target]);
+    let touches = (0..9).map(|i| {
+        let point = PointId::from_index(i * (board.point_count() - 1) / 8);
+        let other_from_target = robot.other_from_target;
+        let touched = other_from_target * board.point(point, &belief.shape_m) + normal(TOUCH_SIGMA_M);
+        // The carrier stands anyhow, so that its tip is at the point.
+        let turn = Pose::from_rodrigues(normal(0.5) + Vector3::new(2.0, 1.0, 0.0), Vector3::zeros());
+        let other_from_carrier = Pose::new(turn.rotation, touched - turn * TIP);
+        let true_pose = match robot.mounting {
+            Mounting::RigOnFlange => other_from_carrier,
+            Mounting::RigInBase => other_from_carrier.inverse(),
+        };
+        let turn = Pose::from_rodrigues(normal(NOISE.rotation_rad), Vector3::zeros());
+        let shift = normal(NOISE.translation_m);
+        let said = Pose::new(turn.rotation * true_pose.rotation, true_pose.translation + shift);
+        RobotTouch { base_from_flange: said, target, point }
+    });
+    RobotTouches { tip_in_carrier: tip, sigma_m: TOUCH_SIGMA_M, touches: touches.collect() }
+}
+
+/// The touching tip on what bears the rig.
+const TIP: Vector3<f64> = Vector3::new(0.02, -0.01, 0.15);
+
+#[test]
+fn touches_make_the_target_better_known_as_stated() {
+    const DRAWS: u64 = 60;
+    for robot in [RobotRecipe::on_flange(), RobotRecipe::fixed()] {
+        for tip in [TipKnowledge::Known(TIP.into()), TipKnowledge::Unknown] {
+            let recipe = Recipe { frames: 15, ..Recipe::mono() };
+            let (mut stated, mut scatter, mut without) = (0.0, 0.0, 0.0);
+            // Where the target's middle is.
+            let middle = robot.other_from_target * Vector3::new(0.2, 0.15, 0.0);
+            let by_pose = by_pose(&middle);
+            for seed in 0..DRAWS {
+                let made = recording(recipe.clone(), robot, seed);
+                let plain = options(Some(NOISE));
+                let with = AdjustOptions {
+                    robot_touches: Some(touches(&made, &robot, tip, 7 * seed + 1)),
+                    ..plain.clone()
+                };
+                let variance = |calibration: &boresight_data::Calibration| {
+                    let covariance = covariance_of(calibration, "_from_target.rx_rad");
+                    (by_pose * covariance * by_pose.transpose()).trace()
+                };
+                let calibration = adjust(&made.dataset, &made.truth, &with, None).unwrap();
+                let found = calibration.scene.robot.as_ref().unwrap();
+                let error = (found.other_from_target() * robot.other_from_target.inverse()).log();
+                scatter += (by_pose * error).norm_squared() / DRAWS as f64;
+                stated += variance(&calibration) / DRAWS as f64;
+                if let (TipKnowledge::Unknown, Some(found)) = (tip, found.tip_in_flange) {
+                    assert!((found - TIP).norm() < 2e-3, "{found}");
+                }
+                if seed < 4 {
+                    without += variance(&adjust(&made.dataset, &made.truth, &plain, None).unwrap()) / 4.0;
+                }
+            }
+            let ratio = (stated / scatter).sqrt();
+            let gain = (stated / without).sqrt();
+            println!(
+                "{:?}, {tip:?}: target's middle known to {:.3} mm with touches, {gain:.2} of that without; stated \
+                 over scatter {ratio:.3}",
+                robot.mounting,
+                1e3 * stated.sqrt(),
+            );
+            // 60 draws of some three independent numbers tell a sigma to 5 %.
+            assert!((ratio - 1.0).abs() < 0.16, "{ratio}");
+            // An unknown tip takes half of what nine touches tell.
+            let most = if tip == TipKnowledge::Unknown { 0.98 } else { 0.9 };
+            assert!(gain < most, "{gain}");
+        }
+    }
+}
+
+/// The robot's readings in touches count to its noise, and touches leave the estimate where it was.
+#[test]
+fn noise_is_estimated_with_touches() {
+    let robot = RobotRecipe::on_flange();
+    let made = recording(Recipe { frames: 15, ..Recipe::mono() }, robot, 2);
+    let start = RobotNoise { rotation_rad: 1e-3, translation_m: 1e-3, stretch: None };
+    let estimated = |options: &AdjustOptions| {
+        estimate_robot_noise(&made.dataset, &made.truth, start, options).unwrap().unwrap()
+    };
+    let without = estimated(&options(None));
+    let touches = touches(&made, &robot, TipKnowledge::Known(TIP.into()), 5);
+    let with = estimated(&AdjustOptions { robot_touches: Some(touches), ..options(None) });
+    println!("{:?} {:?}; {:?} {:?}", with.noise, with.redundancies, without.noise, without.redundancies);
+    assert!(with.rounds.1 && (with.pixel_factor / without.pixel_factor - 1.0).abs() < 0.01);
+    // Nine touches bring 54 rows and take 54 unknowns; their 27 rows of touching come on top.
+    let more: f64 = with.redundancies.iter().sum::<f64>() - without.redundancies.iter().sum::<f64>();
+    assert!((15.0..27.1).contains(&more), "{more}");
+    assert!((with.noise.translation_m / NOISE.translation_m - 1.0).abs() < 0.4, "{:?}", with.noise);
+}
+
+#[test]
+fn touches_of_nothing_are_refused() {
+    let robot = RobotRecipe::on_flange();
+    let made = recording(Recipe { frames: 15, ..Recipe::mono() }, robot, 2);
+    let good = touches(&made, &robot, TipKnowledge::Unknown, 5);
+    let mut of_no_point = good.clone();
+    of_no_point.touches[4].point = PointId::from_index(10_000);
+    for (bad, touch_idx) in [(of_no_point, 4), (RobotTouches { sigma_m: 0.0, ..good }, 0)] {
+        let options = AdjustOptions { robot_touches: Some(bad), ..options(Some(NOISE)) };
+        let refused = optimize(&made.dataset, &made.truth, &options).unwrap_err();
+        assert!(
+            matches!(refused, Error::BadTouch { touch_idx: found, .. } if found == touch_idx),
+            "{refused}"
+        );
+    }
+}
+
 #[test]
 fn the_robots_noise_is_told_from_fifteen_poses() {
     const DRAWS: u64 = 24;
     let recipe = Recipe { frames: 15, ..Recipe::mono() };
     let (mut within, mut squares, mut standardized, mut worse) = (0, 0.0, 0.0, 0);
+    let mut mean_variance = 0.0;
     for seed in 0..DRAWS {
         let robot = if seed % 2 == 0 { RobotRecipe::on_flange() } else { RobotRecipe::fixed() };
         let made = recording(recipe.clone(), robot, seed);
@@ -96,6 +226,7 @@ fn the_robots_noise_is_told_from_fifteen_poses() {
         let ratios =
             [found.noise.rotation_rad / NOISE.rotation_rad, found.noise.translation_m / NOISE.translation_m];
         within += ratios.iter().filter(|ratio| (**ratio - 1.0).abs() < 0.3).count();
+        mean_variance += ratios.iter().map(|ratio| ratio * ratio).sum::<f64>() / (2 * DRAWS) as f64;
         squares += ratios.iter().map(|ratio| (ratio - 1.0).powi(2)).sum::<f64>();
         standardized += (0..2).map(|i| ((ratios[i] - 1.0) / found.relative_sigmas[i]).powi(2)).sum::<f64>();
         if seed < 6 {
@@ -120,7 +251,13 @@ fn the_robots_noise_is_told_from_fifteen_poses() {
         "noise sigmas: {within} of {n} within 30 %, RMS deviation {:.1} %; leave-one-out worse in {worse} of 6",
         100.0 * rms
     );
-    // Fifteen poses tell a sigma to 12 or 13 %, as stated, so that one in fifty is off by more than 30 %.
+    println!("estimated variances over the true ones: mean {mean_variance:.3}");
+    // Of 48 variances of 21 to 34 redundant numbers each the mean scatters by 4 %; one that took no account of the
+    // unknowns would be too small by a quarter and more.
+    assert!((mean_variance - 1.0).abs() < 0.13, "{mean_variance}");
+    // Of the 45 numbers of each kind, unknowns leave 21 to 34. Chi-squared of so many puts 1 to 5 in 100 sigmas further
+    // off than 30 %; in 600 draws 7 in 100 are, with a mean variance of 0.99. Nobody can promise it of every draw: were
+    // the true poses known, 4 in 1000 would still be.
     let standardized = (standardized / n as f64).sqrt();
     println!("deviations in units of their stated sigmas: RMS {standardized:.2}");
     assert!(10 * within >= 9 * n && (0.7..1.4).contains(&standardized), "{within} of {n}, {standardized}");

@@ -66,7 +66,7 @@ const UNIT_LIMIT: f64 = 0.2;
 /// Finds the joints of a positioner from readings in radians and sights, row by row.
 pub fn joint_chain(readings_rad: &[Vec<f64>], sights: &[TimedPose]) -> Result<JointChain, Error> {
     if readings_rad.len() != sights.len() {
-        return Err(Error::Unpaired { poses: readings_rad.len(), sights: sights.len() });
+        return Err(Error::UnpairedJoints { readings: readings_rad.len(), sights: sights.len() });
     }
     let seen: Vec<Pose> = sights.iter().map(|sight| sight.fixed_from_moving).collect();
     let start = joint_lines(readings_rad, &seen)?;

@@ -30,6 +30,9 @@ pub struct PoseReadings {
 /// Calibrates the cameras of a job and tries all readings of its robot's poses.
 pub fn read_poses(job: &Job, options: &CalibrateOptions) -> Result<PoseReadings, Error> {
     let robot = job.robot.as_ref().ok_or(Error::NoRobotPoses)?;
+    if !robot.frame_times_s.is_empty() {
+        return Err(Error::MovingRobot);
+    }
     let first = calibrate(job, options, &Watch::default())?;
     let robot = robot.for_frames(&job.dataset, &first.dataset);
     let dataset = without_rejected(&first.dataset, &first.calibration);

@@ -161,6 +161,8 @@ fn a_positioners_joints_are_found() {
     }
     let left_out = found.left_out.unwrap();
     assert!(left_out.distance_m[0] < 2e-3 && left_out.angle_rad[0] < 2e-3, "{left_out:?}");
+    let unpaired = joint_chain(&readings[..40], &sights);
+    assert!(matches!(unpaired, Err(Error::UnpairedJoints { readings: 40, sights: 150 })), "{unpaired:?}");
     let (degrees, sights) = positioner(180.0 / std::f64::consts::PI);
     let refused = joint_chain(&degrees, &sights);
     assert!(

@@ -22,8 +22,9 @@ fn job_of(made: &Synthetic, mounting: Option<Mounting>) -> Job {
         .map(|frame| row_of(&frame.base_from_flange.unwrap(), convention))
         .collect();
     let row_of_frame = (0..rows.len()).map(Some).collect();
-    let (axes, frame_times_s) = (RobotAxes::Six, Vec::new());
-    let robot = RobotInput { mounting, rows, convention, row_of_frame, axes, height_m: None, frame_times_s };
+    let (axes, height_m, frame_times_s, touches) = (RobotAxes::Six, None, Vec::new(), None);
+    let robot =
+        RobotInput { mounting, rows, convention, row_of_frame, axes, height_m, frame_times_s, touches };
     Job {
         dataset: made.dataset.clone(),
         options: Default::default(),
@@ -311,6 +312,8 @@ fn a_robot_that_moves_is_calibrated_by_its_clock() {
         times.map(|t| PoseRow { time_s: Some(70.25 + t), ..row_of(&flange(t), convention) }).collect();
     robot.row_of_frame = vec![None; 240];
     robot.frame_times_s = (0..240).map(|i| Some(2.0 + 0.1 * f64::from(i))).collect();
+    let untied = read_poses(&job, &CalibrateOptions::default());
+    assert!(matches!(untied, Err(Error::MovingRobot)));
     let found = hand_eye(&job, &options(NoiseChoice::None), &Watch::default()).unwrap();
     let clock = found.clock.unwrap();
     assert!((clock.offset_s - 70.25).abs() < 1e-3, "{clock:?}");
@@ -420,4 +423,33 @@ fn recorded_robots_are_foretold_better_than_by_closed_forms() {
         println!("{name}: {own:.3} mm, OpenCV's best {best:.3} mm");
         assert!(own < best, "{name}: {own} {best}");
     }
+}
+
+#[test]
+fn touches_of_a_job_tell_the_tip() {
+    let recipe = RobotRecipe { rotation_rad: 1e-4, translation_m: 1e-4, ..RobotRecipe::on_flange() };
+    let mut made = simulate(&Recipe { frames: 8, ..Recipe::mono() }, 4);
+    add_robot(&mut made, &recipe, 9);
+    let mut job = job_of(&made, Some(Mounting::RigOnFlange));
+    let tip = Vector3::new(0.02, -0.01, 0.15);
+    let (board, shape_m) = {
+        let target = made.dataset.targets.iter().next().unwrap();
+        (target, &made.truth.targets.iter().next().unwrap().shape_m)
+    };
+    let points: Vec<_> = (0..6).map(|i| boresight_data::PointId::from_index(7 * i)).collect();
+    let base_from_flange = points.iter().enumerate().map(|(i, &point)| {
+        let turn = Pose::from_rodrigues(Vector3::new(2.0, 0.4 * i as f64, 0.5), Vector3::zeros());
+        Pose::new(turn.rotation, recipe.other_from_target * board.point(point, shape_m) - turn * tip)
+    });
+    let touches =
+        TouchInput { base_from_flange: base_from_flange.collect(), points, sigma_m: 2e-5, tip_m: None };
+    job.robot.as_mut().unwrap().touches = Some(touches);
+    let options = HandEyeOptions { noise: NoiseChoice::None, ..HandEyeOptions::default() };
+    let found = hand_eye(&job, &options, &Watch::default()).unwrap();
+    let calibration = &found.outcome.calibration;
+    let error = (calibration.scene.robot.as_ref().unwrap().tip_in_flange.unwrap() - tip).norm();
+    // The target is known to some tenths of a millimetre by eight exact views and a robot with 0.1 mm.
+    assert!(error < 1e-3, "{error}");
+    let names = &calibration.uncertainty.names;
+    assert!(names.iter().any(|name| name == "robot.tip_in_flange.z_m"), "{names:?}");
 }
