@@ -27,8 +27,8 @@ be good. But the bend of the target is modelled over its declared size, and the
 report counts points that do not exist. If the target does have the row, no view
 shows it: something covers it, or the board is always cut off there.
 
-How to fix it: count the squares or tags of the target and declare what is there.
-If it is as declared, show all of it in some views.";
+How to fix it: count the squares or tags of the target and declare what is
+there. If it is as declared, show all of it in some views.";
 
     fn find(case: &Case) -> Vec<Found> {
         let targets = case.dataset.targets.enumerate();
