@@ -1,5 +1,8 @@
 //! `cargo xtask datasets`: calibrates the committed datasets and writes the tables of `docs/datasets.md`.
 
+mod recorded;
+mod recorded_sets;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::ExitCode;
@@ -41,10 +44,15 @@ struct Estimate {
     sigma: Option<serde_json::Value>,
 }
 
-/// Calibrates the named datasets, or all. Exit codes: 0 good, 1 a quality gate failed.
+/// Calibrates the named datasets, or all; or the recorded ones beside the project. Exit codes: 0 good, 1 a quality gate failed.
 pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
     let keep_docs = arguments.flag("--keep-docs");
+    let of_recorded = arguments.flag("--recorded");
+    let program = arguments.option("--program")?;
     let named = arguments.rest()?;
+    if of_recorded {
+        return recorded::run(&named, program, keep_docs);
+    }
     let all = committed()?;
     if let Some(unknown) = named.iter().find(|name| !all.contains(name)) {
         bail!("{unknown} is no dataset; there are {}", all.join(", "));

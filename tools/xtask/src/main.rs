@@ -51,8 +51,8 @@ const COMMANDS: &[Command] = &[
     },
     Command {
         name: "datasets",
-        usage: "[NAME...] [--keep-docs]",
-        about: "calibrates the committed datasets and writes the tables of docs/datasets.md",
+        usage: "[--recorded [--program FILE]] [NAME...] [--keep-docs]",
+        about: "calibrates the committed datasets, or the recorded ones beside them, and writes docs/datasets.md",
         run: datasets::run,
     },
     Command {
