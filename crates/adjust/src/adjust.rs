@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use boresight_data::{Calibration, Dataset, Scene, SolveRecord};
-use boresight_solver::{Solution, SolveOptions, Term as _, solve_observed};
+use boresight_solver::{SlowEnd, Solution, SolveOptions, Term as _, solve_observed};
 
 use crate::error::Error;
 use crate::options::{AdjustOptions, Loss, Observer, Rejection};
@@ -241,7 +241,8 @@ impl Passes<'_> {
             if is_exact {
                 let decrease_below = self.options.decrease_below;
                 let exact = solve_options(self.options, decrease_below, pass + 1 == MAX_PASSES);
-                self.solve(rig, &SolveOptions { first_damping: WARM_DAMPING, ..exact })?;
+                let slow_end = SlowEnd::Learn;
+                self.solve(rig, &SolveOptions { first_damping: WARM_DAMPING, slow_end, ..exact })?;
             } else {
                 self.solve(rig, &rough)?;
             }

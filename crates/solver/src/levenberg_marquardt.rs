@@ -13,7 +13,7 @@ use crate::checkpoint::Saved;
 use crate::gradient::Gradient;
 use crate::kept_model::{KeptModel, Origin};
 use crate::linearization::{Failure, Linearization, Threads};
-use crate::options::SolveOptions;
+use crate::options::{SlowEnd, SolveOptions};
 use crate::problem::{Problem, Scratch};
 use crate::step::StepSolver;
 use crate::stop::Stop;
@@ -33,8 +33,8 @@ const MOST_DAMPING: f64 = 1e12;
 const KEEP_BELOW: f64 = 1e-4;
 const KEEP_GAIN: f64 = 0.75;
 
-/// Steps that promise more than this share of what the one before promised come near the optimum slowly: what Gauss and
-/// Newton leave out counts, and is learnt along a model that is kept if the last step kept this share of its prediction.
+/// A search that promises more than this share of what the step before promised is slow: what Gauss and Newton leave out
+/// counts, and may be learnt along a model that is kept if the last step kept that share of its own prediction.
 const SLOW_SHARE: f64 = 0.1;
 const SLOW_GAIN: f64 = 0.3;
 
@@ -264,7 +264,9 @@ impl<'a> LevenbergMarquardt<'a> {
                 }
                 self.counters.evaluations += 1;
                 let promised = std::mem::replace(&mut self.promised, predicted);
-                let is_slow = predicted > SLOW_SHARE * promised && self.gain > SLOW_GAIN;
+                let is_slow = self.options.slow_end == SlowEnd::Learn
+                    && self.gain > SLOW_GAIN
+                    && predicted > SLOW_SHARE * promised;
                 let is_cheaper = structure.is_worth_keeping() && self.gain > KEEP_GAIN;
                 if predicted <= KEEP_BELOW * cost && (is_slow || is_cheaper) {
                     let origin =

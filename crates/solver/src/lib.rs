@@ -42,7 +42,7 @@ pub use covariance::{Covariance, LinearFunctions, covariance};
 pub use error::Error;
 pub use levenberg_marquardt::Counters;
 pub use local::{Accumulated, EliminatedSums, LocalTerm};
-pub use options::{Checkpointing, Observer, Progress, SolveOptions};
+pub use options::{Checkpointing, Observer, Progress, SlowEnd, SolveOptions};
 pub use prior::{JointBelief, JointPrior, PosePrior, VectorPrior};
 pub use problem::{BlockId, Elimination, GramMut, Parameters, Problem, Scratch, Term, TermKind, Values};
 pub use pulp;

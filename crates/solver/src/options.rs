@@ -17,6 +17,8 @@ pub struct SolveOptions {
     pub threads: usize,
     /// The first damping, relative to the diagonal.
     pub first_damping: f64,
+    /// What is done where steps become short slowly, as in the valleys of nearly redundant parameters.
+    pub slow_end: SlowEnd,
     /// Stop after the first iteration that ends past this much time; `None` sets no limit.
     pub time_limit: Option<Duration>,
     /// Stop when this becomes true, for example by Ctrl-C; `None` cannot be stopped.
@@ -42,11 +44,22 @@ impl Default for SolveOptions {
             max_iterations: 100,
             threads: 0,
             first_damping: 1e-3,
+            slow_end: SlowEnd::Persist,
             time_limit: None,
             cancel: None,
             checkpoint: None,
         }
     }
+}
+
+/// What is done where steps become short slowly.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SlowEnd {
+    /// Nothing.
+    #[default]
+    Persist,
+    /// What Gauss and Newton leave out is learnt from gradients, along a model that is kept.
+    Learn,
 }
 
 /// How far a search has come; what a progress bar shows.

@@ -153,7 +153,8 @@ mod tests {
         for ((length, prediction), seen) in lengths.iter().zip(&predictions).zip(&observations) {
             let expected = prediction
                 .map_or(f64::INFINITY, |[u, v]| (u - seen.pixel[0]).hypot(v - seen.pixel[1]) / seen.sigma_px);
-            assert!(*length == expected || (length / expected - 1.0).abs() < 1e-12, "{length} {expected}");
+            // A point almost in the plane of the camera magnifies rounding.
+            assert!(*length == expected || (length / expected - 1.0).abs() < 1e-9, "{length} {expected}");
         }
         let n_behind = predictions.iter().filter(|prediction| prediction.is_none()).count();
         assert_eq!(n_behind > 0, tilt_rad > 1.0, "{n_behind}");
