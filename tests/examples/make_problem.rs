@@ -72,7 +72,7 @@ fn main() {
         pose.rotation.scaled_axis().iter().chain(pose.translation.iter()).copied().collect()
     };
     let true_cameras: Vec<_> = made.truth.rig.cameras.iter().flatten().collect();
-    let extrinsics: Vec<Vec<f64>> =
+    let cams_from_ref: Vec<Vec<f64>> =
         true_cameras.iter().skip(1).map(|camera| rt(&camera.cam_from_rig)).collect();
     let frames: Vec<Vec<f64>> = made.truth.rig_from_target.iter().flatten().map(rt).collect();
     let mut near = |rows: &[Vec<f64>], sigma: f64| -> Vec<Vec<f64>> {
@@ -109,11 +109,11 @@ fn main() {
         "observations": observations,
         "indices_frame_camintrinsics_camextrinsics": index,
         "intrinsics_seed": vec![seed_lens; true_cameras.len()],
-        "extrinsics_rt_fromref_seed": near(&extrinsics, 0.005),
+        "extrinsics_rt_fromref_seed": near(&cams_from_ref, 0.005),
         "frames_rt_toref_seed": near(&frames, 0.01),
         "calobject_warp_seed": [0.0, 0.0],
         "intrinsics_true": true_cameras.iter().map(|camera| camera.camera.params.clone()).collect::<Vec<_>>(),
-        "extrinsics_rt_fromref_true": extrinsics,
+        "extrinsics_rt_fromref_true": cams_from_ref,
         "frames_rt_toref_true": frames,
         "calobject_warp_true": recipe.shape_m,
         "noise_sigma": SIGMA_PX,
