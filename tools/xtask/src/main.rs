@@ -8,6 +8,7 @@ mod bench;
 mod datasets;
 mod detection;
 mod hand_eye;
+mod outliers;
 mod picture;
 mod process;
 mod reference;
@@ -38,9 +39,15 @@ const COMMANDS: &[Command] = &[
         run: bench::run,
     },
     Command {
+        name: "outliers",
+        usage: "[--rounds N] [--keep-docs]",
+        about: "solves problems with outliers, ours and mrcal with rejection, and writes a table of docs/performance.md",
+        run: outliers::run,
+    },
+    Command {
         name: "uncertainty",
-        usage: "[--problem FILE]",
-        about: "works out an uncertainty map, ours and mrcal's, and compares values and CPU time",
+        usage: "[--problem FILE] [--keep-docs]",
+        about: "compares an uncertainty map, ours and mrcal's, and writes a table of docs/performance.md",
         run: uncertainty::run,
     },
     Command {
