@@ -13,7 +13,7 @@ pub enum Link {
     Inverse(BlockId),
     /// A pose that is known.
     Known(Pose),
-    /// What moves while a camera's image is late, by so many seconds as the block says, see [`clock`].
+    /// What moves while a camera's image is late, by so many seconds as the block says.
     Late(BlockId, FrameMotion),
 }
 
