@@ -8,7 +8,7 @@ use serde::Deserialize;
 use serde_json::json;
 
 use super::DOCS;
-use super::recorded_sets::{OTHERS, SETS, Set};
+use super::recorded_sets::{ForMrcal, RecordedSets, Set};
 use crate::process::{cargo, command, output, reference_environment, root, run as run_process, target};
 use crate::table::{self, markdown};
 
@@ -68,6 +68,7 @@ struct Mrcal {
 ///
 /// `program` is ours; without it the release build is made and taken.
 pub(super) fn run(named: &[String], program: Option<PathBuf>, keep_docs: bool) -> anyhow::Result<ExitCode> {
+    let sets = RecordedSets::read()?;
     let folder = root().join(DATASETS);
     if !folder.is_dir() {
         bail!("{} is not there", folder.display());
@@ -82,21 +83,22 @@ pub(super) fn run(named: &[String], program: Option<PathBuf>, keep_docs: bool) -
     let (mut rows, mut of_mrcal, mut failed) = (Vec::new(), Vec::new(), Vec::new());
     let mut versions = ["?".to_owned(), "?".to_owned()];
     let is_named = |set: &&Set| named.is_empty() || named.iter().any(|name| set.name.contains(name.as_str()));
-    for set in SETS.iter().filter(is_named) {
+    for set in sets.set.iter().filter(is_named) {
         eprintln!("{}", set.name);
-        let folder = folder.join(set.folder);
+        let folder = folder.join(&set.folder);
         let answers = calibrate(&program, set, &folder)?;
         if let Some(opencv) = &answers.opencv {
             versions[0].clone_from(&opencv.version);
         }
         if !matches!(answers.ours.code, 0 | 1) && answers.ours.why.is_none() {
-            failed.push(set.name);
+            failed.push(set.name.as_str());
         }
         rows.push(row(set, &answers));
-        if let (Some((corners, lens)), Some(focal_px)) = (set.mrcal, answers.ours.focal_px) {
-            let (mrcal, ours) = beside_mrcal(&program, set, &folder.join(corners), lens, focal_px)?;
+        if let (Some(for_mrcal), Some(focal_px)) = (&set.mrcal, answers.ours.focal_px) {
+            let corners = folder.join(&for_mrcal.corners);
+            let (mrcal, ours) = beside_mrcal(&program, set, &corners, &for_mrcal.lens, focal_px)?;
             versions[1].clone_from(&mrcal.version);
-            of_mrcal.push(mrcal_row(set, lens, &mrcal, &ours));
+            of_mrcal.push(mrcal_row(set, for_mrcal, &mrcal, &ours));
         }
     }
     let head = [
@@ -122,7 +124,7 @@ pub(super) fn run(named: &[String], program: Option<PathBuf>, keep_docs: bool) -
         "CPU s: ours / mrcal",
     ];
     let others: Vec<Vec<String>> =
-        OTHERS.iter().map(|(name, why)| vec![(*name).to_owned(), (*why).to_owned()]).collect();
+        sets.other.iter().map(|other| vec![other.name.clone(), other.why.clone()]).collect();
     let text = format!(
         "OpenCV {}; for pairs the RMS of stereoCalibrate, for more cameras (marked *) that of each alone.\n\n{}\n\
          The same corners, ours and mrcal {}, rejection on:\n\n{}\n{}",
@@ -153,34 +155,18 @@ fn out(name: &str) -> anyhow::Result<PathBuf> {
     Ok(out)
 }
 
-fn arguments(set: &Set, inputs: &[PathBuf]) -> Vec<String> {
+fn arguments(set: &Set, inputs: &[PathBuf], target: &str) -> Vec<String> {
     let mut arguments: Vec<String> = inputs.iter().map(|input| input.display().to_string()).collect();
-    arguments.extend(["--target".to_owned(), set.target.to_owned()]);
+    arguments.extend(["--target", target].map(str::to_owned));
     let is_corners = inputs.iter().any(|input| input.extension().is_some_and(|extension| extension == "vnl"));
     if let Some([width, height]) = set.image_size.filter(|_| is_corners) {
         arguments.extend(["--image-size".to_owned(), format!("{width}x{height}")]);
         // A .vnl does not say which camera an image is of; the names tell.
-        for camera in cameras(set) {
-            arguments.extend(["--camera".to_owned(), camera]);
+        for camera in &set.cameras {
+            arguments.extend(["--camera", camera].map(str::to_owned));
         }
     }
     arguments
-}
-
-/// Returns which names of a corner file are of which camera, as the command line takes it; none for a single camera.
-fn cameras(set: &Set) -> Vec<String> {
-    let names: &[&str] = match set.folder {
-        "rig4-caliscope-4cam" => {
-            &["cam0=*-cam0.png", "cam1=*-cam1.png", "cam2=*-cam2.png", "cam3=*-cam3.png"]
-        }
-        "corners-stereo-drcal" => &["cam0=*_000.png", "cam1=*_001.png"],
-        "rig3-trinocular-boofcv" => &["left=left/*", "middle=middle/*", "right=right/*"],
-        "stereo-bumblebee2-boofcv" | "stereo-opencv-left-right" | "fisheye-stereo-stereopi" => {
-            &["left=left*", "right=right*"]
-        }
-        _ => &[],
-    };
-    names.iter().map(|name| (*name).to_owned()).collect()
 }
 
 /// Runs ours and OpenCV.
@@ -189,11 +175,11 @@ fn calibrate(program: &Path, set: &Set, folder: &Path) -> anyhow::Result<Answers
     let corners = set.images.is_empty().then(|| set.inputs.first().map(|input| folder.join(input))).flatten();
     let job = json!({
         "program": program,
-        "arguments": arguments(set, &inputs),
-        "out": out(set.name)?,
+        "arguments": arguments(set, &inputs, &set.target),
+        "out": out(&set.name)?,
         "folder": folder,
-        "kind": set.kind,
-        "size": set.size,
+        "kind": set.kind(),
+        "size": set.size()?,
         "images": set.images,
         "corners": corners,
         "image_size": set.image_size,
@@ -208,31 +194,24 @@ fn beside_mrcal(
     program: &Path,
     set: &Set,
     corners: &Path,
-    lens: [&str; 2],
+    lens: &str,
     focal_px: f64,
 ) -> anyhow::Result<(Mrcal, Ours)> {
-    let spacing_mm = set.target.rsplit(':').next().and_then(|word| word.strip_suffix("mm"));
-    let spacing_mm: f64 = match set.kind {
-        "charuco" => 25.4,
-        _ => spacing_mm.context("a target in mm")?.parse()?,
-    };
+    let ([columns, rows], spacing_mm) = (set.size()?, set.spacing_mm()?);
     let job = json!({
         "corners": corners,
-        "size": set.size,
+        "size": [columns, rows],
         "image_size": set.image_size,
         "focal_px": focal_px,
         "name": set.pattern,
-        "lens": lens[0],
+        "lens": format!("LENSMODEL_{}", lens.to_uppercase()),
         "spacing_m": 1e-3 * spacing_mm,
     });
     let mrcal =
         output(command("/usr/bin/python3").arg("tools/bench/recorded_mrcal.py").arg(job.to_string()))?;
-    let [columns, rows] = set.size;
-    let same = Set { target: "", ..*set };
-    let mut arguments = arguments(&same, &[corners.to_owned()]);
-    arguments.retain(|argument| !argument.is_empty() && argument != "--target");
-    arguments.extend(["--target".to_owned(), format!("chessboard:{columns}x{rows}:{spacing_mm}mm")]);
-    arguments.extend(["--model", lens[1], "--holdout", "off"].map(str::to_owned));
+    let target = format!("chessboard:{columns}x{rows}:{spacing_mm}mm");
+    let mut arguments = arguments(set, &[corners.to_owned()], &target);
+    arguments.extend(["--model", lens, "--holdout", "off"].map(str::to_owned));
     let job =
         json!({ "program": program, "arguments": arguments, "out": out(&format!("{} mrcal", set.name))? });
     let mut python = command(reference_environment().join("bin/python"));
@@ -252,7 +231,7 @@ fn number(value: Option<f64>, decimals: usize) -> String {
 fn row(set: &Set, answers: &Answers) -> Vec<String> {
     let Answers { ours, opencv } = answers;
     let images = opencv.as_ref().map_or("1".to_owned(), |opencv| opencv.images.to_string());
-    let mut row = vec![set.name.to_owned(), images];
+    let mut row = vec![set.name.clone(), images];
     row.extend([
         ours.views.to_string(),
         ours.corners.to_string(),
@@ -297,9 +276,9 @@ fn row(set: &Set, answers: &Answers) -> Vec<String> {
     row
 }
 
-fn mrcal_row(set: &Set, lens: [&str; 2], mrcal: &Mrcal, ours: &Ours) -> Vec<String> {
+fn mrcal_row(set: &Set, for_mrcal: &ForMrcal, mrcal: &Mrcal, ours: &Ours) -> Vec<String> {
     vec![
-        format!("{}, {}", set.name, lens[1]),
+        format!("{}, {}", set.name, for_mrcal.lens),
         format!("{} / {}", ours.corners, mrcal.corners),
         format!("{} / {}", ours.rejected, mrcal.rejected),
         format!("{} / {:.4}", number(ours.rms, 4), mrcal.rms),
@@ -317,17 +296,20 @@ mod tests {
             {"ours": {"code": 3, "seconds": 0.5, "why": "error: a | b"}, "opencv": null}"#
             .replace("            {", "{");
         let answers: Answers = answer(&text).unwrap();
-        let row = row(&SETS[0], &answers);
+        let row = row(&RecordedSets::read().unwrap().set[0], &answers);
         assert_eq!(row.len(), 13);
         assert_eq!(row[12], "error: a / b");
         assert_eq!(row[4], "-");
     }
 
     #[test]
-    fn sets_are_named_once() {
-        for (i, set) in SETS.iter().enumerate() {
-            assert!(SETS[..i].iter().all(|other| other.name != set.name), "{}", set.name);
+    fn sets_are_named_once_and_say_all() {
+        let sets = RecordedSets::read().unwrap().set;
+        for (i, set) in sets.iter().enumerate() {
+            assert!(sets[..i].iter().all(|other| other.name != set.name), "{}", set.name);
             assert!(!set.inputs.is_empty() && set.pattern.contains("(?P<frame>"), "{}", set.name);
+            let [columns, rows] = set.size().unwrap();
+            assert!(columns > 2 && rows > 2 && set.spacing_mm().unwrap() > 1.0, "{}", set.name);
         }
     }
 }
