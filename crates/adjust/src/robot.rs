@@ -323,18 +323,7 @@ impl Term for RobotReading {
     fn linearize(&self, values: Values<'_>, gram: &mut GramMut<'_>, _: &mut Scratch) -> Option<f64> {
         gram.clear();
         let (residual, jacobian) = self.rows(values);
-        let last = gram.size() - 1;
-        let hessian = jacobian.transpose() * jacobian;
-        let gradient = jacobian.transpose() * residual;
-        for a in 0..last {
-            for b in a..last {
-                gram.add(a, b, hessian[(a, b)]);
-            }
-            gram.add(a, last, gradient[a]);
-        }
-        let cost = residual.norm_squared();
-        gram.add(last, last, cost);
-        Some(cost)
+        Some(gram.add_rows(&jacobian, &residual))
     }
 }
 

@@ -167,17 +167,7 @@ impl Term for TouchedPoint {
     fn linearize(&self, values: Values<'_>, gram: &mut GramMut<'_>, _: &mut Scratch) -> Option<f64> {
         gram.clear();
         let (residual, jacobian) = self.rows(values);
-        let (residual, jacobian) = (residual / self.sigma_m, jacobian / self.sigma_m);
-        let last = gram.size() - 1;
-        for a in 0..last {
-            for b in a..last {
-                gram.add(a, b, jacobian.column(a).dot(&jacobian.column(b)));
-            }
-            gram.add(a, last, jacobian.column(a).dot(&residual));
-        }
-        let cost = residual.norm_squared();
-        gram.add(last, last, cost);
-        Some(cost)
+        Some(gram.add_rows(&(jacobian / self.sigma_m), &(residual / self.sigma_m)))
     }
 }
 

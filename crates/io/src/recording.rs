@@ -133,15 +133,8 @@ pub(crate) fn read_topics(files: &[PathBuf]) -> Result<Option<Contents>, Error> 
     for path in files {
         check_begin(path)?;
         let wrong = |source| Error::Read { file: path.display().to_string(), source };
-        let mut gatherer = Gatherer {
-            contents: &mut contents,
-            topics: &mut topics,
-            schemas: BTreeMap::new(),
-            channels: BTreeMap::new(),
-            strays: 0,
-            is_wanted: &|_| false,
-            deliver: &mut |_| ControlFlow::Break(()),
-        };
+        let mut deliver = |_| ControlFlow::Break(());
+        let mut gatherer = Gatherer::new(&mut contents, &mut topics, &|_| false, &mut deliver);
         let opened = File::open(path).map_err(wrong)?;
         let Some(counts) = read_counts(opened, &mut gatherer).map_err(wrong)? else { return Ok(None) };
         let channels = gatherer.channels;
@@ -171,15 +164,7 @@ pub(crate) fn read_recordings(
         // The hash is of every byte, damaged or not, which reading skips over.
         let hash = std::thread::scope(|scope| {
             let hash = scope.spawn(|| hash_of_file(path));
-            let mut gatherer = Gatherer {
-                contents: &mut contents,
-                topics: &mut topics,
-                schemas: BTreeMap::new(),
-                channels: BTreeMap::new(),
-                strays: 0,
-                is_wanted,
-                deliver,
-            };
+            let mut gatherer = Gatherer::new(&mut contents, &mut topics, is_wanted, deliver);
             let damages = read_records(opened, &mut gatherer).map_err(wrong)?;
             let strays = gatherer.strays;
             contents.damages.extend(damages.into_iter().map(|damage| (file.clone(), damage)));
@@ -202,16 +187,8 @@ pub(crate) fn read_recording_bytes<R: std::io::Read + std::io::Seek>(
     source: R,
     deliver: &mut dyn FnMut(RecordedImage) -> ControlFlow<()>,
 ) -> std::io::Result<Contents> {
-    let mut contents = Contents::default();
-    let mut gatherer = Gatherer {
-        contents: &mut contents,
-        topics: &mut BTreeMap::new(),
-        schemas: BTreeMap::new(),
-        channels: BTreeMap::new(),
-        strays: 0,
-        is_wanted: &|_| true,
-        deliver,
-    };
+    let (mut contents, mut topics) = (Contents::default(), BTreeMap::new());
+    let mut gatherer = Gatherer::new(&mut contents, &mut topics, &|_| true, deliver);
     read_records(source, &mut gatherer)?;
     Ok(contents)
 }
@@ -281,6 +258,19 @@ struct Gatherer<'a> {
     /// Whether the images of a topic are wanted.
     is_wanted: &'a dyn Fn(&Topic) -> bool,
     deliver: &'a mut dyn FnMut(RecordedImage) -> ControlFlow<()>,
+}
+
+impl<'a> Gatherer<'a> {
+    /// Returns what sorts the messages of a file into `contents`.
+    fn new(
+        contents: &'a mut Contents,
+        topics: &'a mut BTreeMap<(String, String, String), usize>,
+        is_wanted: &'a dyn Fn(&Topic) -> bool,
+        deliver: &'a mut dyn FnMut(RecordedImage) -> ControlFlow<()>,
+    ) -> Self {
+        let (schemas, channels) = (BTreeMap::new(), BTreeMap::new());
+        Self { contents, topics, schemas, channels, strays: 0, is_wanted, deliver }
+    }
 }
 
 impl Listener for Gatherer<'_> {

@@ -2,7 +2,8 @@
 
 use std::ops::Range;
 
-use boresight_geometry::{Pose, UnitQuaternion, Vector3, Vector6, nalgebra::Quaternion};
+use boresight_geometry::nalgebra::{Dim, Matrix, Quaternion, Storage, Vector};
+use boresight_geometry::{Pose, UnitQuaternion, Vector3, Vector6};
 
 use crate::Error;
 use crate::aligned::Aligned;
@@ -285,6 +286,26 @@ impl<'a> GramMut<'a> {
     #[inline(always)]
     pub fn add(&mut self, a: usize, b: usize, value: f64) {
         self.entries[a.min(b) * self.n + a.max(b)] += value;
+    }
+
+    /// Adds the products of rows `[J r]`, and returns the sum of the squares of `residuals`.
+    ///
+    /// Columns of `jacobian` behind those of the term are left out.
+    pub fn add_rows<R: Dim, C: Dim>(
+        &mut self,
+        jacobian: &Matrix<f64, R, C, impl Storage<f64, R, C>>,
+        residuals: &Vector<f64, R, impl Storage<f64, R>>,
+    ) -> f64 {
+        let last = self.n - 1;
+        for a in 0..last {
+            for b in a..last {
+                self.add(a, b, jacobian.column(a).dot(&jacobian.column(b)));
+            }
+            self.add(a, last, jacobian.column(a).dot(residuals));
+        }
+        let cost = residuals.norm_squared();
+        self.add(last, last, cost);
+        cost
     }
 
     /// Returns row `a`; entries left of the diagonal are not used.
