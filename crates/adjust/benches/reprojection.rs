@@ -39,7 +39,7 @@ fn view(criterion: &mut Criterion) {
             Link::Block(parameters.add_pose(&rig_from_target, Elimination::First)),
         ];
         let shape = parameters.add_vector(&[1e-3, -1e-3]);
-        let (chain, layouts) = (Chain { links }, &mut Layouts::default());
+        let (chain, layouts) = (Chain { links }, &Layouts::default());
         let term =
             Reprojection::new(model, lens, Some((shape, 2)), chain, points.clone(), &observations, layouts);
         let mut scratch = Scratch::default();

@@ -117,8 +117,8 @@ pub fn object_pose(
     let pose = parameters.add_pose(start, Elimination::Reduced);
     let drawn = Arc::new(TargetPoints::new(&target, &observations));
     let chain = Chain { links: vec![Link::Block(pose)] };
-    let mut layouts = Layouts::default();
-    let mut term = Reprojection::new(camera.model, lens, None, chain, drawn, &observations, &mut layouts);
+    let mut term =
+        Reprojection::new(camera.model, lens, None, chain, drawn, &observations, &Layouts::default());
     term.set_loss(loss);
     if let Some(index) = term.predict(parameters.values()).iter().position(Option::is_none) {
         return Err(ObjectPoseError::OutOfSight { index });

@@ -8,7 +8,8 @@ mod lengths;
 mod local;
 mod row_lens;
 
-use std::sync::Arc;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use boresight_camera::{CameraModel, Model, ModelVisitor};
 use boresight_data::{Observation, Target};
@@ -81,18 +82,14 @@ impl Weights {
 /// The layouts in use, which terms of like lenses and shapes share.
 #[derive(Debug, Default)]
 pub struct Layouts {
-    known: Vec<((usize, usize), Arc<CompositeColumns>)>,
+    known: Mutex<BTreeMap<(usize, usize), Arc<CompositeColumns>>>,
 }
 
 impl Layouts {
-    fn get(&mut self, n_params: usize, n_shape: usize) -> Arc<CompositeColumns> {
-        let key = (n_params, n_shape);
-        if let Some((_, layout)) = self.known.iter().find(|(known, _)| *known == key) {
-            return layout.clone();
-        }
-        let layout = Arc::new(layout(n_params, n_shape));
-        self.known.push((key, layout.clone()));
-        layout
+    fn get(&self, n_params: usize, n_shape: usize) -> Arc<CompositeColumns> {
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let layout = || Arc::new(layout(n_params, n_shape));
+        known.entry((n_params, n_shape)).or_insert_with(layout).clone()
     }
 }
 
@@ -147,7 +144,7 @@ impl Reprojection {
         chain: Chain,
         points: Arc<TargetPoints>,
         observations: &[Observation],
-        layouts: &mut Layouts,
+        layouts: &Layouts,
     ) -> Self {
         assert_eq!(points.n_points, observations.len(), "each observation has its point");
         let mut blocks = vec![lens];

@@ -1,15 +1,15 @@
 //! A dataset and a scene as a problem: which block is what.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
+use std::collections::BTreeSet;
+use std::sync::{Arc, OnceLock};
 
 use boresight_camera::{Camera, LocalSupport, Model, ParamGroup};
 use boresight_data::{CameraId, Dataset, FrameId, Id, IdVec, Observation, Rig, Scene, Shape, TargetId};
 use boresight_geometry::Pose;
 use boresight_geometry::nalgebra::DMatrix;
 use boresight_solver::{
-    Belief, BlockId, Elimination, JointBelief, JointPrior, Parameters, Problem, SparsePrior, Term, Values,
-    VectorPrior,
+    Belief, BlockId, Elimination, JointBelief, JointPrior, Parameters, Problem, SparsePrior, Term, Threads,
+    Values, VectorPrior,
 };
 
 use crate::chain::{CLOCK_COLUMN, Chain, Link, clock, seconds};
@@ -60,6 +60,40 @@ pub(crate) struct TargetBlocks {
     pub shape: Option<BlockId>,
     /// Where the target stands relative to the first; `None` for the first itself.
     pub first_from_target: Option<BlockId>,
+}
+
+/// What a view's term is made of, its observations apart.
+struct Plan {
+    view_idx: usize,
+    model: Model,
+    lens: BlockId,
+    shape: Option<(BlockId, usize)>,
+    chain: Chain,
+}
+
+/// What terms have in common.
+struct Shared {
+    /// The points of targets that are seen whole.
+    whole_boards: IdVec<TargetId, OnceLock<Arc<TargetPoints>>>,
+    layouts: Layouts,
+}
+
+impl Plan {
+    /// Returns the view and its term.
+    fn term(self, dataset: &Dataset, shared: &Shared) -> Result<(usize, Reprojection), Error> {
+        let Self { view_idx, model, lens, shape, chain } = self;
+        let view = &dataset.views[view_idx];
+        let observations = &view.observations;
+        check_sigmas(view_idx, observations)?;
+        let target = &dataset.targets[view.target];
+        let points = || Arc::new(TargetPoints::new(target, observations));
+        let is_whole = observations.len() == target.point_count()
+            && observations.iter().enumerate().all(|(idx, observation)| observation.point.index() == idx);
+        let points =
+            if is_whole { shared.whole_boards[view.target].get_or_init(points).clone() } else { points() };
+        let layouts = &shared.layouts;
+        Ok((view_idx, Reprojection::new(model, lens, shape, chain, points, observations, layouts)))
+    }
 }
 
 impl RigProblem {
@@ -116,7 +150,7 @@ impl RigProblem {
             robot,
             beliefs: Vec::new(),
         };
-        problem.add_views(dataset, scene, options.robot_noise)?;
+        problem.add_views(dataset, scene, options.robot_noise, options.threads)?;
         problem.add_touches(dataset, options)?;
         problem.hold(&options.holds);
         problem.add_regularization(dataset, scene, options);
@@ -130,10 +164,9 @@ impl RigProblem {
         dataset: &Dataset,
         scene: &Scene,
         noise: Option<RobotNoise>,
+        threads: usize,
     ) -> Result<(), Error> {
-        let mut layouts = Layouts::default();
-        // Whole boards share their points.
-        let mut whole_boards: BTreeMap<TargetId, Arc<TargetPoints>> = BTreeMap::new();
+        let mut plans = Vec::with_capacity(dataset.views.len());
         for (view_idx, view) in dataset.views.iter().enumerate() {
             let (Some(camera), Some(rig_camera)) =
                 (self.cameras[view.camera], &scene.rig.cameras[view.camera])
@@ -143,7 +176,6 @@ impl RigProblem {
             if view.observations.is_empty() {
                 continue;
             }
-            check_sigmas(view_idx, &view.observations)?;
             let said = dataset.frames[view.frame].base_from_flange;
             let by_robot = self.robot.links(view.frame, said, noise, &mut self.parameters);
             let model = rig_camera.camera.model;
@@ -161,18 +193,6 @@ impl RigProblem {
                 }
                 (None, None) => continue,
             };
-            let target = &dataset.targets[view.target];
-            let observations = &view.observations;
-            let is_whole = observations.len() == target.point_count()
-                && observations.iter().enumerate().all(|(idx, observation)| observation.point.index() == idx);
-            let points = if is_whole {
-                whole_boards
-                    .entry(view.target)
-                    .or_insert_with(|| Arc::new(TargetPoints::new(target, observations)))
-                    .clone()
-            } else {
-                Arc::new(TargetPoints::new(target, observations))
-            };
             let blocks = self.targets[view.target];
             // The reference camera's pose is the identity and held, which the chain can leave out.
             let at_rig = camera.is_reference && rig_camera.cam_from_rig == Pose::identity();
@@ -184,11 +204,15 @@ impl RigProblem {
                 .chain(to_first)
                 .chain(blocks.first_from_target.map(Link::Block));
             let chain = Chain { links: links.collect() };
-            let shape = blocks.shape.map(|block| (block, target.shape.coefficient_count()));
-            let term =
-                Reprojection::new(model, camera.lens, shape, chain, points, observations, &mut layouts);
-            self.views.push((view_idx, term));
+            let n_shape = dataset.targets[view.target].shape.coefficient_count();
+            let shape = blocks.shape.map(|block| (block, n_shape));
+            plans.push(Plan { view_idx, model, lens: camera.lens, shape, chain });
         }
+        let n_rows = plans.iter().map(|plan| 2 * dataset.views[plan.view_idx].observations.len()).sum();
+        let whole_boards = dataset.targets.iter().map(|_| OnceLock::new()).collect();
+        let shared = Shared { whole_boards, layouts: Layouts::default() };
+        let terms = Threads::new(threads, n_rows)?.map(plans, |plan| plan.term(dataset, &shared));
+        self.views = terms.into_iter().collect::<Result<_, _>>()?;
         Ok(())
     }
 
@@ -528,7 +552,8 @@ pub fn mrcal22_rows(
 fn check_sigmas(view_idx: usize, observations: &[Observation]) -> Result<(), Error> {
     for (observation_idx, observation) in observations.iter().enumerate() {
         let sigma_px = observation.sigma_px;
-        if !sigma_px.is_finite() || sigma_px <= 0.0 {
+        let is_sigma = sigma_px > 0.0 && sigma_px < f64::INFINITY;
+        if !is_sigma {
             return Err(Error::BadSigma { view_idx, observation_idx, sigma_px });
         }
     }

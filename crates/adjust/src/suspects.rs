@@ -115,7 +115,7 @@ fn evidence(dataset: &Dataset, rig: &RigProblem, term_idx: usize, limit_sigmas: 
     ];
     let points = Arc::new(TargetPoints::new(target, &view.observations));
     let shape = rig.targets[view.target].shape;
-    let mut layouts = Layouts::default();
+    let layouts = Layouts::default();
     let mut best: Option<(f64, Pose)> = None;
     for start in starts {
         let mut parameters = Parameters::default();
@@ -129,15 +129,8 @@ fn evidence(dataset: &Dataset, rig: &RigProblem, term_idx: usize, limit_sigmas: 
         });
         let pose = parameters.add_pose(&start, Elimination::First);
         let chain = Chain { links: vec![Link::Block(pose)] };
-        let mut term = Reprojection::new(
-            camera.model,
-            lens,
-            shape,
-            chain,
-            points.clone(),
-            &view.observations,
-            &mut layouts,
-        );
+        let mut term =
+            Reprojection::new(camera.model, lens, shape, chain, points.clone(), &view.observations, &layouts);
         // From far away the loss must not let go of anything.
         for loss in [Loss::None, Loss::Cauchy { sigmas: limit_sigmas.max(1e-9) }] {
             term.set_loss(loss);

@@ -58,8 +58,8 @@ impl Case {
             .collect();
         let observations = observations.map_or(own, <[Observation]>::to_vec);
         let points = Arc::new(TargetPoints::new(&target, &observations));
-        let mut layouts = Layouts::default();
-        let mut term = Reprojection::new(self.model, lens, shape, chain, points, &observations, &mut layouts);
+        let layouts = &Layouts::default();
+        let mut term = Reprojection::new(self.model, lens, shape, chain, points, &observations, layouts);
         term.set_loss(self.loss);
         term.set_kept(&observations, |idx| !self.rejected.contains(&idx));
         let mut blocks = vec![lens];

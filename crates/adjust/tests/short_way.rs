@@ -110,7 +110,7 @@ fn check(frame_at: FrameAt, held: &[(usize, usize)]) {
             views.push((lens, links, f64::from(frame * 3) + camera as f64));
         }
     }
-    let mut layouts = Layouts::default();
+    let layouts = Layouts::default();
     let terms: Vec<Reprojection> = views
         .into_iter()
         .map(|(lens, links, phase)| {
@@ -118,7 +118,7 @@ fn check(frame_at: FrameAt, held: &[(usize, usize)]) {
                 (0..35).map(|idx| observation(idx, phase + f64::from(idx))).collect();
             let points = Arc::new(TargetPoints::new(&target, &observations));
             let shape = Some((shape, 2));
-            Reprojection::new(model, lens, shape, Chain { links }, points, &observations, &mut layouts)
+            Reprojection::new(model, lens, shape, Chain { links }, points, &observations, &layouts)
         })
         .collect();
     // The gauge, and what the case holds beside it.

@@ -5,11 +5,11 @@ mod linear;
 use crate::Error;
 use crate::linearization::{GroupSums, Linearization, SIDE};
 use crate::options::SolveOptions;
-use crate::problem::{BlockId, Elimination, Problem, Scratch};
+use crate::problem::{BlockId, Elimination, Problem};
 use crate::reduced::Inverse;
-use crate::solve::threads;
 use crate::step::{StepSolver, backward, cholesky, forward};
 use crate::structure::{HELD, Structure};
+use crate::threads::Threads;
 pub use linear::LinearFunctions;
 
 /// The least reciprocal condition of the scaled reduced system with which its inverse means something: rounding
@@ -60,8 +60,8 @@ fn covariance_of(
 ) -> Result<Covariance, Error> {
     let mut model = Linearization::new(&structure);
     let rows: usize = problem.terms.iter().map(|term| term.row_count()).sum();
-    let threads = threads(rows, options)?;
-    model.evaluate(problem, &structure, values, &threads, &mut Scratch::default())?;
+    let threads = Threads::new(options.threads, rows)?;
+    model.evaluate(problem, &structure, values, &threads)?;
     for (group, sums) in structure.groups.iter().zip(model.groups()) {
         if let Some(block) = group.eliminated
             && cholesky(&sums.own).is_none()

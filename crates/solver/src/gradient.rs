@@ -2,9 +2,9 @@
 
 use std::ops::Range;
 
-use crate::linearization::Threads;
 use crate::problem::{GramMut, Problem, Scratch};
 use crate::structure::Structure;
+use crate::threads::Threads;
 
 /// The gradient at one point, and the room in which it is summed.
 #[derive(Debug)]
@@ -41,10 +41,9 @@ impl Gradient {
         structure: &Structure,
         values: &[f64],
         threads: &Threads,
-        scratch: &mut Scratch,
     ) -> bool {
         self.chunks.resize_with(structure.chunks.len(), Chunk::default);
-        threads.for_each_with(scratch, &mut self.chunks, |scratch, chunk_idx, chunk| {
+        threads.for_each_with(&mut self.chunks, |scratch, chunk_idx, chunk| {
             chunk.evaluate(problem, structure, structure.chunks[chunk_idx].clone(), values, scratch);
         });
         self.entries.fill(0.0);

@@ -5,10 +5,11 @@
 //! the rows' second derivatives times their residuals, which Gauss and Newton leave out - is learnt from
 //! how gradients change: limited-memory BFGS (Nocedal 1980) that starts from the factored model.
 
-use crate::linearization::{Linearization, SIDE, Threads};
+use crate::linearization::{Linearization, SIDE};
 use crate::problem::Problem;
 use crate::step::StepSolver;
 use crate::structure::Structure;
+use crate::threads::Threads;
 
 /// Steps to learn from, after which a new model is made.
 const MAX_PAIRS: usize = 12;

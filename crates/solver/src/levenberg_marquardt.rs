@@ -12,12 +12,13 @@ use crate::Error;
 use crate::checkpoint::Saved;
 use crate::gradient::Gradient;
 use crate::kept_model::{KeptModel, Origin};
-use crate::linearization::{Failure, Linearization, Threads};
+use crate::linearization::{Failure, Linearization};
 use crate::options::{SlowEnd, SolveOptions};
-use crate::problem::{Problem, Scratch};
+use crate::problem::Problem;
 use crate::step::StepSolver;
 use crate::stop::Stop;
 use crate::structure::Structure;
+use crate::threads::Threads;
 
 /// Damping below this changes nothing but makes the next rejections come in bursts.
 const LEAST_DAMPING: f64 = 1e-12;
@@ -68,7 +69,6 @@ pub(crate) struct LevenbergMarquardt<'a> {
     model: Linearization,
     trial: Linearization,
     steps: StepSolver,
-    scratch: Scratch,
     trial_values: Vec<f64>,
     /// The damping of the next step.
     pub damping: f64,
@@ -102,7 +102,6 @@ impl<'a> LevenbergMarquardt<'a> {
             model: Linearization::new(&structure),
             trial: Linearization::new(&structure),
             steps: StepSolver::new(&structure),
-            scratch: Scratch::default(),
             trial_values: Vec::with_capacity(values.len()),
             gain: 0.0,
             promised: f64::MAX,
@@ -122,12 +121,12 @@ impl<'a> LevenbergMarquardt<'a> {
     /// Evaluates the model at `values`, from where the next step is taken.
     pub(crate) fn move_to(&mut self, problem: &Problem<'_>, values: &[f64]) -> Result<(), Error> {
         self.counters.evaluations += 1;
-        let Self { structure, threads, model, scratch, .. } = self;
-        match model.evaluate(problem, structure, values, threads, scratch) {
+        let Self { structure, threads, model, .. } = self;
+        match model.evaluate(problem, structure, values, threads) {
             Err(Failure::OutsideSupport) => {
                 self.find_supports(problem, values);
-                let Self { structure, threads, model, scratch, .. } = self;
-                Ok(model.evaluate(problem, structure, values, threads, scratch)?)
+                let Self { structure, threads, model, .. } = self;
+                Ok(model.evaluate(problem, structure, values, threads)?)
             }
             outcome => Ok(outcome?),
         }
@@ -208,11 +207,11 @@ impl<'a> LevenbergMarquardt<'a> {
         (step, predicted): (&[f64], f64),
         untried: f64,
     ) -> bool {
-        let Self { structure, threads, gradient, trial_values, scratch, .. } = self;
+        let Self { structure, threads, gradient, trial_values, .. } = self;
         problem.parameters.retract(values, step, trial_values);
         if predicted > untried {
             self.counters.evaluations += 1;
-            if !gradient.evaluate(problem, structure, trial_values, threads, scratch)
+            if !gradient.evaluate(problem, structure, trial_values, threads)
                 || !kept.accept(step, predicted, gradient.cost, &gradient.entries)
             {
                 return false;
@@ -238,7 +237,7 @@ impl<'a> LevenbergMarquardt<'a> {
             }
         }
         let below = self.least_decrease(problem);
-        let Self { structure, threads, model, trial, steps, gradient, trial_values, scratch, .. } = self;
+        let Self { structure, threads, model, trial, steps, gradient, trial_values, .. } = self;
         let n_rows = problem.observation_rows();
         let cost = model.cost();
         let rms = (cost / n_rows.max(1) as f64).sqrt();
@@ -272,7 +271,7 @@ impl<'a> LevenbergMarquardt<'a> {
                     let origin =
                         Origin { values: values.clone(), iterations: self.counters.iterations, promised };
                     let mut kept = KeptModel::new(structure, model, origin);
-                    if gradient.evaluate(problem, structure, trial_values, threads, scratch)
+                    if gradient.evaluate(problem, structure, trial_values, threads)
                         && kept.accept(&steps.step, predicted, gradient.cost, &gradient.entries)
                     {
                         std::mem::swap(values, trial_values);
@@ -281,12 +280,12 @@ impl<'a> LevenbergMarquardt<'a> {
                     }
                     self.counters.evaluations += 1;
                 }
-                let outcome = trial.evaluate(problem, structure, trial_values, threads, scratch);
+                let outcome = trial.evaluate(problem, structure, trial_values, threads);
                 // Where terms leave their support, another structure fits.
                 let other = (outcome == Err(Failure::OutsideSupport)).then(|| {
                     let other = Structure::new(problem, trial_values);
                     let mut model = Linearization::new(&other);
-                    let outcome = model.evaluate(problem, &other, trial_values, threads, scratch);
+                    let outcome = model.evaluate(problem, &other, trial_values, threads);
                     (other, model, outcome)
                 });
                 let trial_cost = match &other {

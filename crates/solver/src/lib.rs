@@ -32,6 +32,7 @@ mod step;
 mod stop;
 mod structure;
 mod substitution;
+mod threads;
 
 pub use aligned::Aligned;
 pub use composite::{
@@ -49,3 +50,4 @@ pub use pulp;
 pub use solve::{Solution, solve, solve_observed};
 pub use sparse_prior::{Belief, SparsePrior};
 pub use stop::Stop;
+pub use threads::Threads;

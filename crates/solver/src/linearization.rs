@@ -1,48 +1,16 @@
 //! The problem's quadratic model at one point: block diagonals, couplings and gradients.
 
 use pulp::Arch;
-use rayon::prelude::*;
 
 use crate::composite::{AddComposite, CompositeSums, CompositeTerm};
 use crate::local::{Accumulated, EliminatedSums, LocalTerm};
 use crate::problem::{BlockId, GramMut, Problem, Scratch, Term, TermKind, Values};
 use crate::step::damping_diagonal;
 use crate::structure::{CouplingRun, HELD, Signature, Structure, TermPlace};
+use crate::threads::Threads;
 
 /// The side of an eliminated block.
 pub(crate) const SIDE: usize = Structure::eliminated_columns();
-
-/// Threads, or none.
-#[derive(Debug)]
-pub(crate) struct Threads(pub Option<rayon::ThreadPool>);
-
-impl Threads {
-    /// Does `work` on each item with some scratch: `scratch` where there is one thread.
-    pub(crate) fn for_each_with<T: Send>(
-        &self,
-        scratch: &mut Scratch,
-        items: &mut [T],
-        work: impl Fn(&mut Scratch, usize, &mut T) + Sync + Send,
-    ) {
-        match &self.0 {
-            None => items.iter_mut().enumerate().for_each(|(idx, item)| work(scratch, idx, item)),
-            Some(pool) => pool.install(|| {
-                let items = items.par_iter_mut().enumerate().with_max_len(1);
-                items.for_each_init(Scratch::default, |scratch, (idx, item)| work(scratch, idx, item));
-            }),
-        }
-    }
-
-    /// Does `work` on each item; the items are independent, so the number of threads cannot show.
-    pub(crate) fn for_each<T: Send>(&self, items: &mut [T], work: impl Fn(usize, &mut T) + Sync + Send) {
-        match &self.0 {
-            None => items.iter_mut().enumerate().for_each(|(idx, item)| work(idx, item)),
-            Some(pool) => pool.install(|| {
-                items.par_iter_mut().enumerate().with_max_len(1).for_each(|(idx, item)| work(idx, item));
-            }),
-        }
-    }
-}
 
 /// The quadratic model at one point.
 #[derive(Debug, Default)]
@@ -191,10 +159,9 @@ impl Linearization {
         structure: &Structure,
         values: &[f64],
         threads: &Threads,
-        scratch: &mut Scratch,
     ) -> Result<(), Failure> {
         let arch = Arch::new();
-        threads.for_each_with(scratch, &mut self.chunks, |scratch, chunk_idx, chunk| {
+        threads.for_each_with(&mut self.chunks, |scratch, chunk_idx, chunk| {
             chunk.evaluate(arch, problem, structure, structure.chunks[chunk_idx].clone(), values, scratch);
         });
         if let Some(failure) = self.chunks.iter().find_map(|chunk| chunk.failure) {

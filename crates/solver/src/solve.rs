@@ -1,20 +1,15 @@
 //! Solves a problem.
 
-use std::thread::available_parallelism;
-
 use argmin::core::observers::{Observe, ObserverMode};
 use argmin::core::{Executor, KV, KvValue, State as _, TerminationReason, TerminationStatus};
 
 use crate::Error;
 use crate::checkpoint::{Writer, first_state};
 use crate::levenberg_marquardt::{Counters, LevenbergMarquardt, State};
-use crate::linearization::Threads;
 use crate::options::{Observer, Progress, SolveOptions};
 use crate::problem::{Problem, Values};
 use crate::stop::Stop;
-
-/// Below this many rows, starting threads costs more than they save.
-const ROWS_WORTH_THREADS: usize = 20_000;
+use crate::threads::Threads;
 
 /// Where a search ended.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,7 +51,8 @@ pub fn solve_observed(
         return Err(Error::TooFewRows { rows, unknowns });
     }
     let mut values = problem.parameters.values.clone();
-    let mut search = LevenbergMarquardt::new(problem, &values, threads(rows, options)?, options)?;
+    let mut search =
+        LevenbergMarquardt::new(problem, &values, Threads::new(options.threads, rows)?, options)?;
     let mut iteration = 0;
     let writer =
         options.checkpoint.as_ref().map(|checkpointing| Writer::new(checkpointing, problem, search.cost()));
@@ -103,22 +99,6 @@ pub fn solve_observed(
         writer.write(&search, &values, iteration + search.counters.iterations as u64)?;
     }
     Ok(Solution { values, cost, stop, counters: search.counters })
-}
-
-/// Returns the threads that the options ask for.
-pub(crate) fn threads(rows: usize, options: &SolveOptions) -> Result<Threads, Error> {
-    let threads = match options.threads {
-        0 => available_parallelism().map_or(1, |n| n.get()),
-        n => n,
-    };
-    if threads == 1 || rows < ROWS_WORTH_THREADS {
-        return Ok(Threads(None));
-    }
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|error| Error::Threads { threads, problem: error.to_string() })?;
-    Ok(Threads(Some(pool)))
 }
 
 /// Passes argmin's reports on.

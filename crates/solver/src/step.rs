@@ -3,12 +3,13 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::aligned::Aligned;
-use crate::linearization::{GroupSums, Linearization, SIDE, Threads};
+use crate::linearization::{GroupSums, Linearization, SIDE};
 use crate::problem::Problem;
 use crate::reduced::Reduced;
 use crate::scatter::add_outer_sparse;
 use crate::structure::{Group, Structure};
 use crate::substitution::{Right, Substitute, copy_free, eliminated};
+use crate::threads::Threads;
 
 /// The room in which steps are worked out, and the last one.
 pub(crate) struct StepSolver {

@@ -1,6 +1,7 @@
 //! What the solver works out once: which column is where, and which terms are evaluated together.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::mem;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -305,6 +306,8 @@ impl Structure {
             }
         }
         let mut signatures_of: BTreeMap<Vec<usize>, Vec<usize>> = BTreeMap::new();
+        // Where each reduced column is in the coupling of the group at hand.
+        let mut places: Vec<Option<u32>> = vec![None; self.n_reduced];
         for (eliminated, term_idxs) in members {
             let reduced_blocks = |term_idx: usize| {
                 problem.terms[term_idx]
@@ -326,20 +329,26 @@ impl Structure {
                         }
                     }
                 }
-                columns.retain(|&column| column != HELD);
+                // Most columns are those of several terms; the first mention counts.
+                columns.retain(|&column| column != HELD && places[column as usize].replace(0).is_none());
                 columns.sort_unstable();
-                columns.dedup();
+                for (place, &column) in columns.iter().enumerate() {
+                    places[column as usize] = Some(place as u32);
+                }
             }
+            // No held column is in it.
+            let place_of = |column: u32| places.get(column as usize)?.map(|place| place as usize);
             let mut is_first = vec![true; columns.len()];
             let first_term = self.terms.len();
             for term_idx in term_idxs {
                 let list: Vec<usize> = reduced_blocks(term_idx).collect();
-                let signature_columns: Vec<u32> =
-                    list.iter().flat_map(|&block| &self.reduced_columns[block]).copied().collect();
+                let signature_columns = || -> Vec<u32> {
+                    list.iter().flat_map(|&block| &self.reduced_columns[block]).copied().collect()
+                };
                 let support = supports[term_idx].take();
                 let mut coupling: Vec<CouplingRun> = Vec::new();
                 let mut extend = |column: usize, place: usize, is_new: bool| {
-                    let is_first = std::mem::replace(&mut is_first[place], false);
+                    let is_first = mem::replace(&mut is_first[place], false);
                     extend(&mut coupling, CouplingRun { column, place, length: 1, is_first }, is_new);
                 };
                 let mut eliminated_columns = None;
@@ -349,18 +358,20 @@ impl Structure {
                     if is_eliminated(block.0) {
                         eliminated_columns = Some(n_columns..end);
                     } else if eliminated.is_some() && support.is_none() {
-                        for (k, column) in self.reduced_columns[block.0].iter().enumerate() {
-                            if let Ok(place) = columns.binary_search(column) {
+                        for (k, &column) in self.reduced_columns[block.0].iter().enumerate() {
+                            if let Some(place) = place_of(column) {
                                 extend(n_columns + k, place, k == 0);
                             }
                         }
                     }
                     n_columns = end;
                 }
-                for (k, &column) in support.iter().flatten().enumerate() {
-                    let column = signature_columns[column as usize];
-                    if let Ok(place) = columns.binary_search(&column) {
-                        extend(k, place, k == 0);
+                if let Some(support) = &support {
+                    let all = signature_columns();
+                    for (k, &column) in support.iter().enumerate() {
+                        if let Some(place) = place_of(all[column as usize]) {
+                            extend(k, place, k == 0);
+                        }
                     }
                 }
                 let composite = problem.terms[term_idx].composite().filter(|_| support.is_none());
@@ -369,7 +380,10 @@ impl Structure {
                 if let Some(place) = &composite {
                     coupling.iter_mut().for_each(|run| run.column = place.columns.place_in_row(run.column));
                 }
-                let known = signatures_of.entry(list).or_default();
+                let known = match signatures_of.get_mut(&list) {
+                    Some(known) => known,
+                    None => signatures_of.entry(list.clone()).or_default(),
+                };
                 let found = known.iter().copied().find(|&known| {
                     let Signature { composite: known, local, .. } = &self.signatures[known];
                     match (known, &composite) {
@@ -390,7 +404,7 @@ impl Structure {
                         entries: local.entries(),
                         is_eliminated: eliminated.is_some(),
                     });
-                    self.signatures.push(Signature { columns: signature_columns, composite, local });
+                    self.signatures.push(Signature { columns: signature_columns(), composite, local });
                     self.signatures.len() - 1
                 });
                 self.terms.push(TermPlace {
@@ -401,6 +415,9 @@ impl Structure {
                     coupling,
                     support,
                 });
+            }
+            for &column in &columns {
+                places[column as usize] = None;
             }
             let runs = runs(&columns);
             self.groups.push(Group { eliminated, terms: first_term..self.terms.len(), columns, runs });

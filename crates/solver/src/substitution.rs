@@ -2,10 +2,11 @@
 
 use pulp::{Simd, WithSimd};
 
-use crate::linearization::{GroupSums, Linearization, SIDE, Threads};
+use crate::linearization::{GroupSums, Linearization, SIDE};
 use crate::problem::Problem;
 use crate::step::{PartialSum, StepSolver, backward, forward};
 use crate::structure::{Group, Structure};
+use crate::threads::Threads;
 
 impl StepSolver {
     /// Multiplies `x`, by all tangent columns, by the inverse of the factored model; what is held becomes zero.

@@ -145,7 +145,7 @@ mod tests {
             .collect();
         let points = Arc::new(TargetPoints::new(&target, &observations));
         let chain = Chain { links: vec![Link::Block(frame)] };
-        let layouts = &mut Layouts::default();
+        let layouts = &Layouts::default();
         let term = Reprojection::new(model, lens, Some((shape, 2)), chain, points, &observations, layouts);
         let lengths = term.lengths(parameters.values(), &observations);
         let predictions = term.predict(parameters.values());

@@ -3,7 +3,6 @@
 use boresight_geometry::{Pose, Vector3, Vector6};
 
 use super::*;
-use crate::linearization::Threads;
 use crate::problem::{GramMut, Parameters, Scratch, Term, Values};
 use crate::structure::SparseRule;
 
@@ -173,7 +172,7 @@ fn steps(problem: &Problem<'_>, rule: SparseRule, threads: &Threads) -> Vec<Vec<
     let mut steps = StepSolver::new(&structure);
     let mut all = Vec::new();
     for damping in [1e-2, 1e-4, 0.0, 0.0] {
-        model.evaluate(problem, &structure, &values, threads, &mut Scratch::default()).unwrap();
+        model.evaluate(problem, &structure, &values, threads).unwrap();
         assert!(steps.factor(&structure, &model, damping, threads));
         steps.solve(problem, &structure, &model, damping, threads);
         let mut moved = Vec::new();
@@ -187,13 +186,13 @@ fn steps(problem: &Problem<'_>, rule: SparseRule, threads: &Threads) -> Vec<Vec<
 fn check(graph: &Graph) {
     let problem = graph.problem();
     let options = SolveOptions::default();
-    let dense = steps(&problem, DENSE, &Threads(None));
-    let sparse = steps(&problem, SPARSE, &Threads(None));
+    let dense = steps(&problem, DENSE, &Threads::default());
+    let sparse = steps(&problem, SPARSE, &Threads::default());
     for (dense, sparse) in dense.iter().flatten().zip(sparse.iter().flatten()) {
         assert!((dense - sparse).abs() < 1e-10, "{dense} {sparse}");
     }
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
-    assert!(steps(&problem, SPARSE, &Threads(Some(pool))) == sparse, "threads can be told from the result");
+    let three = Threads::new(3, usize::MAX).unwrap();
+    assert!(steps(&problem, SPARSE, &three) == sparse, "threads can be told from the result");
     let values = &dense[3];
     let covariance = |rule| {
         let structure = Structure::by_rule(&problem, values, rule);
