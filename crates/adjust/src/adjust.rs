@@ -29,6 +29,9 @@ const MAX_SUSPECT_ROUNDS: usize = 4;
 /// Passes after which the set of outliers is taken as it is; it settles in two or three.
 const MAX_PASSES: usize = 12;
 
+/// The first damping from a seed, which closed forms bring nearer than a solver may expect.
+const SEED_DAMPING: f64 = 1e-5;
+
 /// The first damping where poses are nearly right: the surface of a lens is then all but linear.
 const NEARER_DAMPING: f64 = 1e-8;
 
@@ -176,7 +179,7 @@ impl Passes<'_> {
                 Effort::Fine => solve_options(self.options, ROBUST_DECREASE_BELOW, false),
             };
             if pass == 0 {
-                options.first_damping = SolveOptions::default().first_damping;
+                options.first_damping = SEED_DAMPING;
             }
             self.solve(rig, &options)?;
             now = lengths(self.dataset, rig);
@@ -280,6 +283,7 @@ pub(crate) fn solve_options(options: &AdjustOptions, decrease_below: f64, is_las
     SolveOptions {
         decrease_below,
         max_iterations: options.max_iterations,
+        first_damping: SEED_DAMPING,
         threads: options.threads,
         time_limit: options.time_limit,
         cancel: options.cancel.clone(),

@@ -12,7 +12,7 @@
 use boresight_camera::{Camera, Model};
 use boresight_data::{CameraId, Dataset, Id as _, Scene};
 use boresight_geometry::{Matrix3, Pose, Vector3};
-use boresight_solver::{Belief, Counters, solve};
+use boresight_solver::{Belief, Counters, SolveOptions, solve};
 
 use crate::adjust::solve_options;
 use crate::error::Error;
@@ -105,7 +105,10 @@ fn solve_roughly(
     let problem = rig.problem()?;
     // In residual variances, of which there are as many as rows.
     let decrease_below = DECREASE_BELOW * problem.observation_rows() as f64;
-    let solution = solve(&problem, &solve_options(options, decrease_below, false))?;
+    // What a stand-in cannot follow is no reason for long steps.
+    let first_damping = SolveOptions::default().first_damping;
+    let solve_options = SolveOptions { first_damping, ..solve_options(options, decrease_below, false) };
+    let solution = solve(&problem, &solve_options)?;
     Ok((rig.scene(dataset, scene, solution.values(&problem)), solution.counters))
 }
 
