@@ -65,7 +65,7 @@ pub struct Counters {
 pub(crate) struct LevenbergMarquardt<'a> {
     options: &'a SolveOptions,
     structure: Structure,
-    threads: Threads,
+    threads: &'a Threads,
     model: Linearization,
     trial: Linearization,
     steps: StepSolver,
@@ -92,7 +92,7 @@ impl<'a> LevenbergMarquardt<'a> {
     pub(crate) fn new(
         problem: &Problem<'_>,
         values: &[f64],
-        threads: Threads,
+        threads: &'a Threads,
         options: &'a SolveOptions,
     ) -> Result<Self, Error> {
         let structure = Structure::new(problem, values);

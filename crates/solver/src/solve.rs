@@ -50,9 +50,18 @@ pub fn solve_observed(
     if rows < unknowns {
         return Err(Error::TooFewRows { rows, unknowns });
     }
+    let threads = Threads::new(options.threads, rows)?;
+    threads.run(|| search(problem, options, observer, &threads))
+}
+
+fn search(
+    problem: &Problem<'_>,
+    options: &SolveOptions,
+    observer: Option<Observer>,
+    threads: &Threads,
+) -> Result<Solution, Error> {
     let mut values = problem.parameters.values.clone();
-    let mut search =
-        LevenbergMarquardt::new(problem, &values, Threads::new(options.threads, rows)?, options)?;
+    let mut search = LevenbergMarquardt::new(problem, &values, threads, options)?;
     let mut iteration = 0;
     let writer =
         options.checkpoint.as_ref().map(|checkpointing| Writer::new(checkpointing, problem, search.cost()));
