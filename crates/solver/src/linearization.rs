@@ -1,12 +1,14 @@
 //! The problem's quadratic model at one point: block diagonals, couplings and gradients.
 
+use std::ops::Range;
+
 use pulp::Arch;
 
 use crate::composite::{AddComposite, CompositeSums, CompositeTerm};
 use crate::local::{Accumulated, EliminatedSums, LocalTerm};
 use crate::problem::{BlockId, GramMut, Problem, Scratch, Term, TermKind, Values};
 use crate::step::damping_diagonal;
-use crate::structure::{CouplingRun, HELD, Signature, Structure, TermPlace};
+use crate::structure::{CouplingRun, Group, HELD, Signature, Structure, TermPlace};
 use crate::threads::Threads;
 
 /// The side of an eliminated block.
@@ -83,52 +85,10 @@ pub(crate) struct GroupSums {
 }
 
 impl Linearization {
-    /// Returns the room for a model of this structure.
+    /// Returns the room for a model of this structure; that of chunks is made by who evaluates them first.
     pub(crate) fn new(structure: &Structure) -> Self {
-        let empty = |signature: &Signature| match (&signature.composite, &signature.local) {
-            (Some(_), _) => SignatureSums::Composite(CompositeSums::default()),
-            (None, Some(_)) => SignatureSums::Local(Vec::new()),
-            (None, None) => SignatureSums::Plain(Vec::new()),
-        };
-        let chunk = |groups: &std::ops::Range<usize>| {
-            let groups = &structure.groups[groups.clone()];
-            let mut chunk = Chunk {
-                groups: groups
-                    .iter()
-                    .map(|group| GroupSums {
-                        coupling: vec![0.0; SIDE * group.columns.len()],
-                        ..Default::default()
-                    })
-                    .collect(),
-                signatures: structure.signatures.iter().map(empty).collect(),
-                ..Default::default()
-            };
-            // With many signatures, most chunks see few of them.
-            for place in groups.iter().flat_map(|group| &structure.terms[group.terms.clone()]) {
-                let n = place.n_columns + 1;
-                let signature = &structure.signatures[place.signature];
-                match &mut chunk.signatures[place.signature] {
-                    SignatureSums::Plain(sums) => {
-                        sums.resize((signature.columns.len() + 1).pow(2), 0.0);
-                        chunk.gram.resize(chunk.gram.len().max(n * n), 0.0);
-                    }
-                    SignatureSums::Composite(sums) if sums.is_empty() => {
-                        if let Some(place) = &signature.composite {
-                            *sums = CompositeSums::new(place);
-                        }
-                    }
-                    SignatureSums::Composite(_) => {}
-                    SignatureSums::Local(sums) => {
-                        sums.resize(signature.local.as_ref().map_or(0, |local| local.n_sums), 0.0);
-                        let room = SIDE * place.support.as_ref().map_or(0, Vec::len);
-                        chunk.gram.resize(chunk.gram.len().max(room), 0.0);
-                    }
-                }
-            }
-            chunk
-        };
         Self {
-            chunks: structure.chunks.iter().map(chunk).collect(),
+            chunks: structure.chunks.iter().map(|_| Chunk::default()).collect(),
             reduced: ReducedSums {
                 signatures: structure
                     .signatures
@@ -245,15 +205,60 @@ impl Linearization {
 }
 
 impl Chunk {
+    /// Returns the room for a chunk of these groups.
+    fn new(structure: &Structure, groups: Range<usize>) -> Self {
+        let groups = &structure.groups[groups];
+        let empty = |signature: &Signature| match (&signature.composite, &signature.local) {
+            (Some(_), _) => SignatureSums::Composite(CompositeSums::default()),
+            (None, Some(_)) => SignatureSums::Local(Vec::new()),
+            (None, None) => SignatureSums::Plain(Vec::new()),
+        };
+        let room = |group: &Group| GroupSums {
+            coupling: vec![0.0; SIDE * group.columns.len()],
+            ..Default::default()
+        };
+        let mut chunk = Self {
+            groups: groups.iter().map(room).collect(),
+            signatures: structure.signatures.iter().map(empty).collect(),
+            ..Default::default()
+        };
+        // With many signatures, most chunks see few of them.
+        for place in groups.iter().flat_map(|group| &structure.terms[group.terms.clone()]) {
+            let n = place.n_columns + 1;
+            let signature = &structure.signatures[place.signature];
+            match &mut chunk.signatures[place.signature] {
+                SignatureSums::Plain(sums) => {
+                    sums.resize((signature.columns.len() + 1).pow(2), 0.0);
+                    chunk.gram.resize(chunk.gram.len().max(n * n), 0.0);
+                }
+                SignatureSums::Composite(sums) if sums.is_empty() => {
+                    if let Some(place) = &signature.composite {
+                        *sums = CompositeSums::new(place);
+                    }
+                }
+                SignatureSums::Composite(_) => {}
+                SignatureSums::Local(sums) => {
+                    sums.resize(signature.local.as_ref().map_or(0, |local| local.n_sums), 0.0);
+                    let room = SIDE * place.support.as_ref().map_or(0, Vec::len);
+                    chunk.gram.resize(chunk.gram.len().max(room), 0.0);
+                }
+            }
+        }
+        chunk
+    }
+
     fn evaluate(
         &mut self,
         arch: Arch,
         problem: &Problem<'_>,
         structure: &Structure,
-        groups: std::ops::Range<usize>,
+        groups: Range<usize>,
         values: &[f64],
         scratch: &mut Scratch,
     ) {
+        if self.signatures.is_empty() {
+            *self = Self::new(structure, groups.clone());
+        }
         let values = problem.parameters.at(values);
         self.observation_cost = 0.0;
         self.prior_cost = 0.0;

@@ -22,7 +22,7 @@ pub(crate) struct StepSolver {
     pub predicted_decrease: f64,
 }
 
-/// What elimination subtracts from the reduced system, over one chunk of groups.
+/// What elimination subtracts from the reduced system, over one chunk of groups; empty until it is needed.
 #[derive(Debug, Default)]
 pub(crate) struct PartialSum {
     /// The upper triangle, row by row, [`row_stride`] apart.
@@ -39,18 +39,20 @@ pub(crate) struct PartialSum {
 
 pub(crate) type Triangle = [[f64; SIDE]; SIDE];
 
-impl StepSolver {
-    pub(crate) fn new(structure: &Structure) -> Self {
+impl PartialSum {
+    fn new(structure: &Structure) -> Self {
         let n = structure.n_reduced;
         let n_entries = structure.sparse.as_ref().map_or(n * row_stride(n), |p| p.n_entries() + COLUMNS);
-        let partial_sum = |_| PartialSum {
-            matrix: Aligned::zeros(n_entries),
-            gradient: vec![0.0; row_stride(n)],
-            ..Default::default()
-        };
+        let (matrix, gradient) = (Aligned::zeros(n_entries), vec![0.0; row_stride(n)]);
+        Self { matrix, gradient, ..Self::default() }
+    }
+}
+
+impl StepSolver {
+    pub(crate) fn new(structure: &Structure) -> Self {
         Self {
             arch: Arch::new(),
-            partial_sums: structure.schur_chunks.iter().map(partial_sum).collect(),
+            partial_sums: structure.schur_chunks.iter().map(|_| PartialSum::default()).collect(),
             reduced: Reduced::new(structure),
             step: vec![0.0; structure.n_columns],
             predicted_decrease: 0.0,
@@ -83,6 +85,9 @@ impl StepSolver {
             let range = structure.schur_chunks[idx].clone();
             let places = structure.sparse.as_ref().map(|pattern| &pattern.groups[range.clone()]);
             let (groups, sums) = (&structure.groups[range.clone()], &groups[range]);
+            if sum.gradient.is_empty() {
+                *sum = PartialSum::new(structure);
+            }
             arch.dispatch(Eliminate {
                 places,
                 stride: row_stride(structure.n_reduced),
