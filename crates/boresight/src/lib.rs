@@ -20,6 +20,7 @@ mod calibrate;
 mod choices;
 mod convert;
 mod cross_validation;
+mod demo;
 mod error;
 mod explain;
 mod hand_eye;
@@ -68,6 +69,7 @@ pub use boresight_io::{
     read_sights_job, survey_recordings, target_spec, write_atomically, write_files,
 };
 pub use boresight_seed::planar_robot::{PLANAR_NAMES, PlanarError, PlanarMotion, PlanarRobot, planar_robot};
+pub use boresight_synthetic::{FirstSquare, NotDrawn, Paper, Print, Sheet, sheet};
 pub use boresight_validate::{
     AtDistance, CompareOptions, ComparedCamera, Method, ProjectionUncertainty, Propagation, RigComparison,
     Spread, StereoUncertainty, UncertaintyMap, Verdict, compare_known_rigs, compare_rigs, stereo_uncertainty,
@@ -83,6 +85,7 @@ pub use choices::{
 };
 pub use convert::{ConvertedCamera, convert_lenses};
 pub use cross_validation::{compared, cross_validate};
+pub use demo::{Demo, Recovered, Recovery, demo, recovery};
 pub use error::{Error, ErrorKind};
 pub use explain::{codes, explain};
 pub use hand_eye::{

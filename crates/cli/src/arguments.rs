@@ -8,10 +8,12 @@ use boresight::{
 };
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::demo::DemoArguments;
 use crate::init::InitArguments;
 use crate::inputs::{CameraImages, ClockChoice, ImageSize, Time};
 use crate::robot::RobotCommand;
 use crate::stereo::StereoArguments;
+use crate::target::TargetCommand;
 
 /// Calibrates cameras: lenses, where they sit, and how well all of that is known.
 #[derive(Debug, Parser)]
@@ -32,6 +34,13 @@ pub(crate) enum Command {
     Detect(DetectArguments),
     /// Look at images, a recording or corners, and write a job file that says what the command line says
     Init(InitArguments),
+    /// Make targets
+    Target {
+        #[command(subcommand)]
+        command: TargetCommand,
+    },
+    /// Render a stereo recording with known truth, calibrate it, and compare
+    Demo(DemoArguments),
     /// Tell what is in a dataset or a calibration
     Info(InfoArguments),
     /// Print the matrices P, M and H = P*M of each camera

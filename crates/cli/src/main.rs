@@ -9,6 +9,7 @@ mod arguments;
 mod calibrate;
 mod compare;
 mod convert;
+mod demo;
 mod detect;
 mod explain;
 mod export;
@@ -25,6 +26,7 @@ mod stereo;
 mod streams;
 mod summary;
 mod table;
+mod target;
 mod uncertainty;
 mod validate;
 mod verify;
@@ -50,6 +52,8 @@ fn run(command: Command) -> Result<ExitCode, Failure> {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Detect(arguments) => detect::run(&arguments),
         Command::Init(arguments) => init::run(&arguments),
+        Command::Target { command } => target::run(&command),
+        Command::Demo(arguments) => demo::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Matrix(arguments) => matrix::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),

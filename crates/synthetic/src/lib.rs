@@ -10,6 +10,7 @@
 mod drawing;
 mod lenses;
 mod moving;
+mod paper;
 mod place;
 mod recipe;
 mod render;
@@ -18,9 +19,10 @@ mod svg;
 
 pub use drawing::{FirstSquare, Print};
 pub use moving::{Timing, simulate_moving};
+pub use paper::Paper;
 pub use recipe::{Outliers, PlacedCamera, Placement, Recipe};
 pub use render::{Depth, Exposure, render};
 mod robot;
 pub use robot::{RobotRecipe, add_robot};
 pub use simulate::{Synthetic, simulate};
-pub use svg::svg;
+pub use svg::{NotDrawn, Sheet, sheet};
