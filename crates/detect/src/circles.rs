@@ -20,6 +20,9 @@ const WINDOW_SHARES: [f64; 4] = [0.05, 0.12, 0.025, 0.3];
 const MISS_SHARE: f64 = 0.3;
 /// Lattices begin at this many dots at most.
 const SEEDS: usize = 12;
+/// How the steps of a lattice may have to be added to each other, the plain way first: a lattice that began at the rim may
+/// have a step of the grid and the sum of two, which make up the same lattice.
+const SHEARS: [[i32; 2]; 5] = [[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]];
 /// The scatter of a measured dot that noise does not explain, in pixels.
 const MODEL_SIGMA_PX: f64 = 0.01;
 
@@ -66,11 +69,14 @@ fn label(blobs: &[Blob], places: &[[i32; 2]], [columns, rows]: [u32; 2], layout:
     };
     let wanted: BTreeSet<[i32; 2]> = places.iter().copied().collect();
     let mut possible: Vec<BTreeMap<[i32; 2], usize>> = Vec::new();
-    for quarters in 0..4 {
+    for (shear, quarters) in SHEARS.iter().flat_map(|shear| (0..4).map(move |quarters| (shear, quarters))) {
+        if quarters == 0 && !possible.is_empty() {
+            break;
+        }
         let turned: BTreeMap<[i32; 2], usize> = largest
             .iter()
-            .map(|(at, blob)| {
-                let [x, y] = straight(at);
+            .map(|([a, b], blob)| {
+                let [x, y] = straight(&[a + shear[0] * b, b + shear[1] * a]);
                 let turned = [[x, y], [y, -x], [-x, -y], [-y, x]][quarters];
                 (turned, *blob)
             })

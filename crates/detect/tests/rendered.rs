@@ -4,6 +4,8 @@
 
 #[path = "rendered/dots.rs"]
 mod dots;
+#[path = "rendered/prints.rs"]
+mod prints;
 #[path = "rendered/tags.rs"]
 mod tags;
 
