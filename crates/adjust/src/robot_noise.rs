@@ -8,7 +8,7 @@
 
 use boresight_data::{Dataset, Scene};
 use boresight_geometry::Matrix6;
-use boresight_geometry::nalgebra::SMatrix;
+use boresight_geometry::nalgebra::{DMatrix, SMatrix};
 use boresight_solver::{Term, covariance, solve};
 
 use crate::adjust::{named, solve_options};
@@ -22,6 +22,8 @@ const MAX_ROUNDS: usize = 60;
 const SETTLED_BELOW: f64 = 2e-3;
 /// Sigmas below which a robot counts as exact.
 const LEAST: RobotNoise = RobotNoise { rotation_rad: 1e-8, translation_m: 1e-8, stretch: Some(1e-8) };
+/// The change of a variance's logarithm over which redundancies are differentiated.
+const STEP: f64 = 0.02;
 
 /// A robot's noise as the data tell it.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,7 +32,7 @@ pub struct EstimatedNoise {
     pub noise: RobotNoise,
     /// The same in units of the pixels' stated sigmas, for [`AdjustOptions::robot_noise`].
     pub relative: RobotNoise,
-    /// The relative standard deviations of the two: `1 / sqrt(2 redundancy)`.
+    /// The relative standard deviations of the two, from the information that restricted likelihood has of them.
     pub relative_sigmas: [f64; 2],
     /// The redundancies of rotations and translations: how many rows they amount to.
     pub redundancies: [f64; 2],
@@ -84,6 +86,10 @@ pub fn estimate_robot_noise(
         if is_settled || round == MAX_ROUNDS {
             let pixel_factor = pixel_variance.sqrt();
             let redundancies = [groups.rotations.redundancy, groups.translations.redundancy];
+            let relative_sigmas = relative_sigmas(&groups, relative, |noise| {
+                let options = AdjustOptions { robot_noise: Some(noise), ..options.clone() };
+                Groups::of(&RigProblem::new(dataset, &scene, &options)?, &solve_options)
+            })?;
             return Ok(Some(EstimatedNoise {
                 noise: RobotNoise {
                     rotation_rad: relative.rotation_rad * pixel_factor,
@@ -91,7 +97,7 @@ pub fn estimate_robot_noise(
                     stretch: relative.stretch.map(|sigma| sigma * pixel_factor),
                 },
                 relative,
-                relative_sigmas: redundancies.map(|redundancy| 1.0 / (2.0 * redundancy).sqrt()),
+                relative_sigmas,
                 redundancies,
                 pixel_factor,
                 scene,
@@ -100,6 +106,49 @@ pub fn estimate_robot_noise(
         }
     }
     unreachable!("the last round returns")
+}
+
+/// Returns the relative standard deviations of the sigmas of rotations and translations.
+///
+/// With R the redundancy matrix of the weighted rows, the information of two variances' logarithms is half the sum of
+/// squares of the entries that R has between their rows (Patterson & Thompson 1971). R is idempotent, so that all sums
+/// of a group add up to its redundancy r; and as ∂r_i/∂log σ_j² is `δ_ij r_i` less the sum of i and j, redundancies
+/// at other variances (`groups_at`) tell them.
+fn relative_sigmas(
+    groups: &Groups,
+    noise: RobotNoise,
+    groups_at: impl Fn(RobotNoise) -> Result<Groups, Error>,
+) -> Result<[f64; 2], Error> {
+    let redundancies = groups.redundancies();
+    // Where no stretch is estimated, its group is empty.
+    let n = if noise.stretch.is_some() { 3 } else { 2 };
+    let mut sums = DMatrix::zeros(n + 1, n + 1);
+    for j in 0..n {
+        let at = |sense: f64| {
+            let factor = (0.5 * sense * STEP).exp();
+            let mut noise = noise;
+            match j {
+                0 => noise.rotation_rad *= factor,
+                1 => noise.translation_m *= factor,
+                _ => noise.stretch = noise.stretch.map(|sigma| sigma * factor),
+            }
+            groups_at(noise).map(|groups| groups.redundancies())
+        };
+        let (more, less) = (at(1.0)?, at(-1.0)?);
+        for i in 0..n {
+            let own = if i == j { redundancies[i] } else { 0.0 };
+            sums[(i, j)] = own - (more[i] - less[i]) / (2.0 * STEP);
+        }
+    }
+    sums = 0.5 * (&sums + sums.transpose());
+    for i in 0..n {
+        let with_pixels = redundancies[i] - sums.row(i).sum();
+        (sums[(i, n)], sums[(n, i)]) = (with_pixels, with_pixels);
+    }
+    sums[(n, n)] = groups.pixels.redundancy - sums.row(n).sum();
+    // Variances that nothing tells have no information at all. A sigma's logarithm is half that of its variance.
+    let covariance = (0.5 * sums).cholesky().map(|factor| factor.inverse());
+    Ok([0, 1].map(|i| covariance.as_ref().map_or(f64::INFINITY, |c| 0.5 * c[(i, i)].sqrt())))
 }
 
 /// Residuals that share a variance.
@@ -125,6 +174,11 @@ struct Groups {
 }
 
 impl Groups {
+    /// Returns the redundancies of rotations, translations and stretch.
+    fn redundancies(&self) -> [f64; 3] {
+        [&self.rotations, &self.translations, &self.stretch].map(|group| group.redundancy)
+    }
+
     fn of(rig: &RigProblem, options: &boresight_solver::SolveOptions) -> Result<Self, Error> {
         let problem = rig.problem()?;
         let values = rig.parameters.values();
