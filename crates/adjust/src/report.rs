@@ -7,7 +7,7 @@ use boresight_data::{
     SolveRecord, TargetId, Uncertainty, ViewFit,
 };
 use boresight_geometry::Vector3;
-use boresight_solver::{BlockId, Covariance, Solution, SolveOptions, Stop, covariance};
+use boresight_solver::{BlockId, Covariance, Solution, SolveOptions, Stop, Term, covariance};
 
 use crate::chain::CLOCK_COLUMN;
 use crate::error::Error;
@@ -138,7 +138,8 @@ pub(crate) fn report(
             Regularization::Mrcal22 => "mrcal-2.2",
         }
         .to_owned(),
-        rows: rig.priors.iter().map(boresight_solver::Term::row_count).sum(),
+        rows: rig.priors.iter().map(Term::row_count).sum::<usize>()
+            + rig.sparse_priors.iter().map(Term::row_count).sum::<usize>(),
         chi2: costs.map_or(0.0, |[_, priors]| priors),
     };
     Ok(Calibration {
@@ -227,11 +228,13 @@ fn uncertainty(
     // Relative to the noise, as the covariance of the solver is.
     let information: Vec<f64> =
         places.iter().map(|&place| covariance.information(place).unwrap_or(0.0) / variance_factor).collect();
+    let (regularization_information, regularization_pairs) = regularization_information(rig, &places);
     let uncertainty = Uncertainty {
         noise_factor: variance_factor.sqrt(),
         degrees_of_freedom,
         loose: loose_directions(&names, &entries, &information),
-        regularization_information: regularization_information(rig, &places),
+        regularization_information,
+        regularization_pairs,
         motions: Motions { names: motion_names, covariance: motion_entries },
         names,
         covariance: entries,
@@ -241,12 +244,31 @@ fn uncertainty(
     Ok((uncertainty, Some(costs)))
 }
 
-/// Returns the inverse square of each column's sigma in the regularisation; zero where it has none.
-fn regularization_information(rig: &RigProblem, places: &[(BlockId, usize)]) -> Vec<f64> {
+/// Returns the inverse square of each column's sigma in the regularisation, zero where it has none, and what it claims
+/// of two columns together.
+fn regularization_information(
+    rig: &RigProblem,
+    places: &[(BlockId, usize)],
+) -> (Vec<f64>, Vec<(usize, usize, f64)>) {
     let information = |&(block, column): &(BlockId, usize)| -> f64 {
         rig.priors.iter().map(|prior| prior.information(block, column)).sum()
     };
-    places.iter().map(information).collect()
+    let mut single: Vec<f64> = places.iter().map(information).collect();
+    let mut pairs = Vec::new();
+    let by_place: BTreeMap<(BlockId, usize), usize> =
+        places.iter().enumerate().map(|(i, &place)| (place, i)).collect();
+    for prior in &rig.sparse_priors {
+        let [block] = *prior.blocks() else { continue };
+        for ([a, b], entry) in prior.information() {
+            match (by_place.get(&(block, a)), by_place.get(&(block, b))) {
+                (Some(&a), Some(&b)) if a == b => single[a] += entry,
+                (Some(&a), Some(&b)) => pairs.push((a.min(b), a.max(b), entry)),
+                // What is held does not vary.
+                _ => {}
+            }
+        }
+    }
+    (single, pairs)
 }
 
 /// Returns the names of all parameters but the frames' poses, each with its block and column.

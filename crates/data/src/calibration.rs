@@ -82,6 +82,9 @@ pub struct Uncertainty {
     /// What the regularisation claims to know of each parameter of `names`: the inverse square of its
     /// sigma, zero where it claims nothing. Residuals in units of the stated sigma have the weight one.
     pub regularization_information: Vec<f64>,
+    /// What it claims of two parameters together: their places in `names`, the first before the second, and the entry of
+    /// the regularisation's matrix. There are such claims about the knots of a spline in mrcal's way.
+    pub regularization_pairs: Vec<(usize, usize, f64)>,
     /// How the poses of all frames vary with the parameters, as far as projections ask for it.
     pub motions: Motions,
     /// Combinations of parameters that the data hardly tell apart, the loosest first.

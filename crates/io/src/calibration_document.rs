@@ -217,6 +217,9 @@ pub(crate) struct CovarianceDocument {
     /// By name, in their order; empty in files of before it was written.
     #[serde(default)]
     pub regularization_information: Vec<f64>,
+    /// Two places among the names and an entry; only there where regularisation ties parameters together.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub regularization_pairs: Vec<(usize, usize, f64)>,
     #[serde(default)]
     pub motions: MotionsDocument,
     #[serde(default)]

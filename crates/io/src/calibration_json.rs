@@ -61,6 +61,9 @@ pub fn calibration_to_json(calibration: &Calibration, findings: &[Finding]) -> R
         let found = uncertainty.regularization_information.len();
         same_length("weights of the regularisation", found, n_names)?;
     }
+    for (i, (.., entry)) in uncertainty.regularization_pairs.iter().enumerate() {
+        finite(*entry, || format!("covariance.regularization_pairs[{i}]"))?;
+    }
     let document = Document {
         schema: CALIBRATION_SCHEMA.to_owned(),
         rms_px: calibration.rms_px.into(),
@@ -116,6 +119,7 @@ pub fn calibration_to_json(calibration: &Calibration, findings: &[Finding]) -> R
             rows,
             unavailable: uncertainty.unavailable.clone(),
             regularization_information: uncertainty.regularization_information.clone(),
+            regularization_pairs: uncertainty.regularization_pairs.clone(),
             motions: MotionsDocument {
                 names: motions.names.clone(),
                 rows: motions.covariance.chunks(motion_width.max(1)).map(<[f64]>::to_vec).collect(),
@@ -174,8 +178,20 @@ pub fn calibration_from_json(file: &str, bytes: &[u8]) -> Result<(Calibration, V
         }
         frame_names.push(frame.name);
     }
-    let CovarianceDocument { names, rows, unavailable, regularization_information, motions, loose } =
-        document.covariance;
+    let CovarianceDocument {
+        names,
+        rows,
+        unavailable,
+        regularization_information,
+        regularization_pairs,
+        motions,
+        loose,
+    } = document.covariance;
+    if let Some(i) = regularization_pairs.iter().position(|&(a, b, _)| a >= b || b >= names.len()) {
+        let value = format!("{:?}", regularization_pairs[i]);
+        let need = "the places of two names, the first before the second, and an entry";
+        return Err(reader.bad(format!("covariance.regularization_pairs[{i}]"), value, need));
+    }
     let motion_width = names.len() + motions.names.len();
     if motions.rows.len() != motions.names.len() || motions.rows.iter().any(|row| row.len() != motion_width) {
         let value = format!("{} rows", motions.rows.len());
@@ -225,6 +241,7 @@ pub fn calibration_from_json(file: &str, bytes: &[u8]) -> Result<(Calibration, V
                 .map(|(name, estimate)| (name, [(&estimate.value).into(), (&estimate.sigma).into()]))
                 .collect(),
             regularization_information,
+            regularization_pairs,
             motions: Motions { names: motions.names, covariance: motions.rows.concat() },
             loose,
         },

@@ -84,6 +84,7 @@ pub(crate) fn sample() -> Calibration {
             unavailable: None,
             baselines_m: BTreeMap::from([("right".to_owned(), [0.083, 1e-5])]),
             regularization_information: vec![0.0, 1.0 / 7.0],
+            regularization_pairs: vec![(0, 1, -1.0 / 9.0)],
             motions: Motions {
                 names: vec!["mean.rx_rad".to_owned()],
                 covariance: vec![1e-7, -0.0, 1.0 / 3.0e6],

@@ -42,6 +42,11 @@ impl SparsePrior {
         Self { block: [block], n_columns, beliefs, products, columns }
     }
 
+    /// Returns the entries of the upper triangle of the beliefs' matrix: the inverse squares of sigmas, and products.
+    pub fn information(&self) -> impl Iterator<Item = ([usize; 2], f64)> {
+        self.products.iter().map(|(&[a, b], &entry)| ([a as usize, b as usize], entry))
+    }
+
     /// Returns the cost, and the gradient by column.
     fn cost_and_gradient(&self, values: Values<'_>) -> (f64, Vec<f64>) {
         let numbers = values.vector(self.block[0]);
