@@ -136,6 +136,7 @@ fn scene(arrays: &Npz, suffix: &str, model: Model, dataset: &Dataset) -> Scene {
                 _ => pose(&cam_from_ref[6 * (idx - 1)..6 * idx]),
             },
             time_offset_s: 0.0,
+            line_delay_s: 0.0,
         })
     });
     Scene {

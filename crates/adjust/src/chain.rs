@@ -13,22 +13,31 @@ pub enum Link {
     Inverse(BlockId),
     /// A pose that is known.
     Known(Pose),
-    /// What moves while a camera's image is late, by so many seconds as the block says.
+    /// What moves while a camera's image is late, by so many seconds as the block says; see
+    /// [`clock`].
     Late(BlockId, FrameMotion),
 }
 
-/// The column of a [`Link::Late`]'s block.
+/// The column of a [`Link::Late`]'s block that is the lateness, and the one that is the delay from row to row.
 pub(crate) const CLOCK_COLUMN: usize = 3;
+pub(crate) const LINE_DELAY_COLUMN: usize = 4;
 
-/// Returns the value of a [`Link::Late`]'s block: chains have poses, so that the seconds stand where a pose has the x of
-/// its translation, which adds up as numbers do while the other columns are held.
-pub(crate) fn clock(late_s: f64) -> Pose {
-    Pose::new(Pose::identity().rotation, Vector3::new(late_s, 0.0, 0.0))
+/// Returns the value of a [`Link::Late`]'s block, whose other columns must be held.
+///
+/// Chains have poses, so that the seconds stand where a pose has the x of its translation, and the seconds from row to
+/// row where it has the y: both add up as numbers do while the rotation is held.
+pub fn clock(late_s: f64, line_delay_s: f64) -> Pose {
+    Pose::new(Pose::identity().rotation, Vector3::new(late_s, line_delay_s, 0.0))
 }
 
 /// Returns the seconds of a [`Link::Late`]'s block.
 pub(crate) fn seconds(values: Values<'_>, block: BlockId) -> f64 {
     values.pose(block).translation.x
+}
+
+/// Returns the seconds from row to row of a [`Link::Late`]'s block.
+pub(crate) fn line_delay(values: Values<'_>, block: BlockId) -> f64 {
+    values.pose(block).translation.y
 }
 
 /// The factors of `cam_from_target`. No block may occur twice.
@@ -163,7 +172,7 @@ mod tests {
             let mut parameters = Parameters::default();
             let [camera, frame] =
                 [turned, turned.inverse()].map(|pose| parameters.add_pose(&pose, Elimination::Reduced));
-            let late = parameters.add_pose(&clock(late_s), Elimination::Reduced);
+            let late = parameters.add_pose(&clock(late_s, 0.0), Elimination::Reduced);
             let links = vec![Link::Block(camera), Link::Late(late, motion), Link::Block(frame)];
             let chain = Chain { links };
             let mut links = Links::default();

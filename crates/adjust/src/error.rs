@@ -89,6 +89,17 @@ pub enum Error {
         /// Its lens model.
         model: &'static str,
     },
+    /// A lens of many parameters sees a moving target row by row, where its sums have no place.
+    #[error(
+        "camera {camera} has a {model} lens, which cannot be adjusted with a line delay while the target moves: take a lens \
+         of few parameters"
+    )]
+    LocalLensRolling {
+        /// The camera.
+        camera: CameraId,
+        /// Its lens model.
+        model: &'static str,
+    },
     /// A prior cannot be used.
     #[error(
         "prior {prior_idx} is about something that the dataset does not have, ties the poses of two frames together, \

@@ -30,13 +30,13 @@ mod time_offset;
 mod touch;
 
 pub use adjust::{Optimum, Settled, adjust, optimize, settle};
-pub use chain::{Chain, Link};
+pub use chain::{Chain, Link, clock};
 pub use error::Error;
 pub use leave_one_out::{HeldOut, SightErrors, leave_one_out, sight_errors};
 pub use object_pose::{ObjectPose, ObjectPoseError, SeenPoint, assessed, object_pose};
 pub use options::{
-    AdjustOptions, Hold, Loss, Observer, Prior, Progress, Quantity, Regularization, Rejection, RobotNoise,
-    Share,
+    AdjustOptions, Clock, Hold, Loss, Observer, Prior, Progress, Quantity, Regularization, Rejection,
+    RobotNoise, Share,
 };
 pub use pose_fit::{Arm, HandEyeModel, JointModel, PoseFit, PoseFitError, PoseModel, PoseNoise};
 pub use reprojection::{Layouts, Reprojection, TargetPoints};
@@ -44,7 +44,9 @@ pub use rig_problem::mrcal22_rows;
 pub use robot_noise::{EstimatedNoise, estimate_robot_noise};
 pub use robot_touch::{RobotTouch, RobotTouches};
 pub use sighted_point::{Sight, SightedPoint, SightedPointError, sighted_point};
-pub use time_offset::{TimeOffset, Timed, adjust_times};
+pub use time_offset::{
+    LEAST_FRAMES, LOOSEST_READOUT_S, LineDelay, TimeOffset, Timed, adjust_times, views_in_motion,
+};
 pub use touch::{
     Heights, PlaneFunction, Position, TipKnowledge, Touch, TouchError, TouchFit, TouchLens, TouchOptions,
     TouchedPlane, TriedModel, plane_columns, plane_position, plane_spread, touched_plane,

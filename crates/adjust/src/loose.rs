@@ -112,6 +112,7 @@ fn plain(parameter: &str) -> String {
         "shape0_m" => "bend along x",
         "shape1_m" => "bend along y",
         "time_offset_s" => "time offset",
+        "line_delay_s" => "line delay",
         other => other,
     };
     word.to_owned()
@@ -124,6 +125,8 @@ fn remedy(names: &[&str]) -> &'static str {
     let has_pose = ends_in(&["rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m"]);
     if ends_in(&["time_offset_s"]) {
         "move the board while the cameras look at it together"
+    } else if ends_in(&["line_delay_s"]) {
+        "move the board faster, in all directions"
     } else if ends_in(&["fx", "fy"]) || (has_pose && ends_in(&["cx", "cy"])) {
         "tilt the board by 20 to 45 degrees about both axes"
     } else if ends_in(&["cx", "cy", "p1", "p2"]) {

@@ -22,9 +22,8 @@ pub struct AdjustOptions {
     pub regularization: Regularization,
     /// What is held at its seed. Empty estimates all that the data constrain.
     pub holds: Vec<Hold>,
-    /// Cameras whose `time_offset_s` is estimated; their frames need a motion in the scene. Empty keeps those of the
-    /// scene.
-    pub time_offsets: Vec<CameraId>,
+    /// The times of cameras that are estimated; their frames need a motion in the scene. Empty keeps those of the scene.
+    pub clocks: Vec<Clock>,
     /// How far the robot's readings are off; `None` takes them as exact.
     pub robot_noise: Option<RobotNoise>,
     /// Points of targets that the robot's tip touched; `None` where there are none. Without a robot in the scene they
@@ -55,7 +54,7 @@ impl Default for AdjustOptions {
             rejection: Rejection::Beyond { sigmas: 4.0 },
             regularization: Regularization::Default,
             holds: Vec::new(),
-            time_offsets: Vec::new(),
+            clocks: Vec::new(),
             robot_noise: None,
             robot_touches: None,
             priors: Vec::new(),
@@ -68,6 +67,15 @@ impl Default for AdjustOptions {
             checkpoint: None,
         }
     }
+}
+
+/// A time of a camera that is estimated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Clock {
+    /// Its `time_offset_s`: how late its images are.
+    Offset(CameraId),
+    /// Its `line_delay_s`: how much later each row is than the one above it.
+    LineDelay(CameraId),
 }
 
 /// What large residuals cost.

@@ -9,7 +9,7 @@ use boresight_data::{
 use boresight_geometry::Vector3;
 use boresight_solver::{BlockId, Covariance, Solution, SolveOptions, Stop, Term, covariance};
 
-use crate::chain::CLOCK_COLUMN;
+use crate::chain::{CLOCK_COLUMN, LINE_DELAY_COLUMN};
 use crate::error::Error;
 use crate::loose::{in_words, loose_directions};
 use crate::motions::motions;
@@ -284,7 +284,10 @@ fn columns(dataset: &Dataset, rig: &RigProblem) -> Vec<(String, (BlockId, usize)
         for (k, name) in POSE_COLUMNS.iter().enumerate() {
             columns.push((format!("{camera}.cam_from_rig.{name}"), (blocks.cam_from_rig, k)));
         }
-        columns.extend(blocks.late.map(|late| (format!("{camera}.time_offset_s"), (late, CLOCK_COLUMN))));
+        let clock =
+            |name: &str, column: usize| blocks.late.map(|late| (format!("{camera}.{name}"), (late, column)));
+        columns.extend(clock("time_offset_s", CLOCK_COLUMN));
+        columns.extend(clock("line_delay_s", LINE_DELAY_COLUMN));
     }
     for (target_id, blocks) in rig.targets.enumerate() {
         let target: &str = target_name(dataset, target_id);

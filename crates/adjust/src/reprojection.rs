@@ -6,6 +6,7 @@
 
 mod lengths;
 mod local;
+mod rolling;
 mod row_lens;
 
 use std::collections::BTreeMap;
@@ -24,6 +25,7 @@ use boresight_solver::{
 
 use crate::chain::Chain;
 use crate::options::Loss;
+use crate::reprojection::rolling::RowTimes;
 use crate::reprojection::row_lens::{Called, Inlined, RowLens};
 
 /// Points whose rows are in scratch at once; more would spill out of the first-level cache.
@@ -55,6 +57,8 @@ pub struct Reprojection {
     chain: Chain,
     points: Arc<TargetPoints>,
     layout: Arc<CompositeColumns>,
+    /// When the rows of its points were taken, where that differs; the points then share no composite pose.
+    row_times: Option<Box<RowTimes>>,
     /// The pixels seen, padded likewise.
     pixels: [Vec<f64>; 2],
     weights: Weights,
@@ -161,6 +165,7 @@ impl Reprojection {
             chain,
             points,
             layout: layouts.get(n_whole_params(model), n_shape),
+            row_times: None,
             pixels,
             weights: Weights::Uniform(0.0),
             n_rows: 0,
@@ -168,6 +173,16 @@ impl Reprojection {
         };
         term.set_kept(observations, |_| true);
         term
+    }
+
+    /// Has each point seen as its row was taken, which is so many rows below the middle of the image.
+    ///
+    /// A chain without a [`Link::Late`](crate::Link::Late) has no motion, and rows make no difference to it. A lens with
+    /// local support has no place for its sums here.
+    pub fn with_row_times(mut self, rows_from_middle: Vec<f64>) -> Self {
+        assert_eq!(self.points.n_points, rows_from_middle.len(), "each observation has its row");
+        self.row_times = RowTimes::new(&self.chain, rows_from_middle).map(Box::new);
+        self
     }
 
     /// Sets which observations count.
@@ -217,6 +232,10 @@ impl Reprojection {
         gram: &mut GramMut<'_>,
         scratch: &mut Scratch,
     ) -> Option<()> {
+        if let Some(times) = &self.row_times {
+            self.chain.linearize(values, &mut scratch.links);
+            return self.linearize_rolling(times, values, gram).map(|_| ());
+        }
         if self.model.local_support().is_none() {
             return linearize_composite(self, values, gram, scratch).map(|_| ());
         }
@@ -245,10 +264,13 @@ impl Reprojection {
                     .collect()
             }
         }
-        self.model.visit(Predict(self, values))
+        match &self.row_times {
+            Some(times) => self.predict_rolling(times, values),
+            None => self.model.visit(Predict(self, values)),
+        }
     }
 
-    /// Returns where the target stands in front of the camera.
+    /// Returns where the target stands in front of the camera, as the middle row is taken where rows have times.
     pub fn cam_from_target(&self, values: Values<'_>) -> Pose {
         self.chain.compose(values)
     }
@@ -272,14 +294,15 @@ impl Term for Reprojection {
     }
 
     fn linearize(&self, values: Values<'_>, gram: &mut GramMut<'_>, scratch: &mut Scratch) -> Option<f64> {
-        match self.local() {
-            None => linearize_composite(self, values, gram, scratch),
-            Some(term) => self.linearize_whole(term, values, gram, scratch),
+        match (&self.row_times, self.local()) {
+            (Some(times), _) => self.linearize_rolling(times, values, gram),
+            (None, None) => linearize_composite(self, values, gram, scratch),
+            (None, Some(term)) => self.linearize_whole(term, values, gram, scratch),
         }
     }
 
     fn composite(&self) -> Option<&dyn CompositeTerm> {
-        self.model.local_support().is_none().then_some(self)
+        (self.model.local_support().is_none() && self.row_times.is_none()).then_some(self)
     }
 
     fn local(&self) -> Option<&dyn LocalTerm> {

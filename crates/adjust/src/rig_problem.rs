@@ -12,9 +12,9 @@ use boresight_solver::{
     Values, VectorPrior,
 };
 
-use crate::chain::{CLOCK_COLUMN, Chain, Link, clock, seconds};
+use crate::chain::{CLOCK_COLUMN, Chain, LINE_DELAY_COLUMN, Link, clock, line_delay, seconds};
 use crate::error::Error;
-use crate::options::{AdjustOptions, Hold, Prior, Quantity, Regularization, RobotNoise, Share};
+use crate::options::{AdjustOptions, Clock, Hold, Prior, Quantity, Regularization, RobotNoise, Share};
 use crate::reprojection::{Layouts, Reprojection, TargetPoints};
 use crate::robot::RobotPart;
 use crate::robot_touch::RobotTouch;
@@ -48,8 +48,10 @@ pub(crate) struct RigProblem {
 pub(crate) struct CameraBlocks {
     pub lens: BlockId,
     pub cam_from_rig: BlockId,
-    /// How late its images are, where that is not zero or estimated.
+    /// How late its images and their rows are, where that is not zero or estimated.
     pub late: Option<BlockId>,
+    /// Whether its rows are of different times.
+    pub is_rolling: bool,
     pub is_reference: bool,
     pub model: Model,
 }
@@ -69,6 +71,8 @@ struct Plan {
     lens: BlockId,
     shape: Option<(BlockId, usize)>,
     chain: Chain,
+    /// Where each observation was seen, for a camera that takes one row after another of what moves.
+    rows_from_middle: Option<Vec<f64>>,
 }
 
 /// What terms have in common.
@@ -81,7 +85,7 @@ struct Shared {
 impl Plan {
     /// Returns the view and its term.
     fn term(self, dataset: &Dataset, shared: &Shared) -> Result<(usize, Reprojection), Error> {
-        let Self { view_idx, model, lens, shape, chain } = self;
+        let Self { view_idx, model, lens, shape, chain, rows_from_middle } = self;
         let view = &dataset.views[view_idx];
         let observations = &view.observations;
         check_sigmas(view_idx, observations)?;
@@ -92,7 +96,14 @@ impl Plan {
         let points =
             if is_whole { shared.whole_boards[view.target].get_or_init(points).clone() } else { points() };
         let layouts = &shared.layouts;
-        Ok((view_idx, Reprojection::new(model, lens, shape, chain, points, observations, layouts)))
+        let term = Reprojection::new(model, lens, shape, chain, points, observations, layouts);
+        Ok((
+            view_idx,
+            match rows_from_middle {
+                Some(rows) => term.with_row_times(rows),
+                None => term,
+            },
+        ))
     }
 }
 
@@ -118,15 +129,25 @@ impl RigProblem {
                 if is_reference {
                     parameters.hold_all(cam_from_rig);
                 }
-                let is_estimated = options.time_offsets.contains(&camera_id);
-                let late = (is_estimated || camera.time_offset_s != 0.0).then(|| {
-                    let late = parameters.add_pose(&clock(camera.time_offset_s), Elimination::Reduced);
-                    for column in (0..6).filter(|column| !is_estimated || *column != CLOCK_COLUMN) {
+                let free: Vec<usize> = options
+                    .clocks
+                    .iter()
+                    .filter_map(|clock| match clock {
+                        Clock::Offset(id) => (*id == camera_id).then_some(CLOCK_COLUMN),
+                        Clock::LineDelay(id) => (*id == camera_id).then_some(LINE_DELAY_COLUMN),
+                    })
+                    .collect();
+                let is_rolling = camera.line_delay_s != 0.0 || free.contains(&LINE_DELAY_COLUMN);
+                let late = (is_rolling || camera.time_offset_s != 0.0 || !free.is_empty()).then(|| {
+                    let clock = clock(camera.time_offset_s, camera.line_delay_s);
+                    let late = parameters.add_pose(&clock, Elimination::Reduced);
+                    for column in (0..6).filter(|column| !free.contains(column)) {
                         parameters.hold(late, column);
                     }
                     late
                 });
-                CameraBlocks { lens, cam_from_rig, late, is_reference, model: camera.camera.model }
+                let model = camera.camera.model;
+                CameraBlocks { lens, cam_from_rig, late, is_rolling, is_reference, model }
             }));
         }
         let mut targets = IdVec::default();
@@ -194,9 +215,11 @@ impl RigProblem {
                 (None, None) => continue,
             };
             let blocks = self.targets[view.target];
-            // The reference camera's pose is the identity and held, which the chain can leave out.
-            let at_rig = camera.is_reference && rig_camera.cam_from_rig == Pose::identity();
-            let motion = scene.motion.get(view.frame).copied().flatten();
+            let motion = scene.motion.get(view.frame).copied().flatten().filter(|_| camera.late.is_some());
+            // The reference camera's pose is the identity and held, which the chain can leave out; but its first link is one
+            // that all of the rig moves through.
+            let at_rig =
+                camera.is_reference && rig_camera.cam_from_rig == Pose::identity() && motion.is_none();
             let links = (!at_rig)
                 .then_some(Link::Block(camera.cam_from_rig))
                 .into_iter()
@@ -206,7 +229,13 @@ impl RigProblem {
             let chain = Chain { links: links.collect() };
             let n_shape = dataset.targets[view.target].shape.coefficient_count();
             let shape = blocks.shape.map(|block| (block, n_shape));
-            plans.push(Plan { view_idx, model, lens: camera.lens, shape, chain });
+            let is_rolling = camera.is_rolling && motion.is_some();
+            if is_rolling && model.local_support().is_some() {
+                return Err(Error::LocalLensRolling { camera: view.camera, model: model.name() });
+            }
+            let row = |seen: &Observation| rig_camera.rows_from_middle(seen.pixel[1]);
+            let rows_from_middle = is_rolling.then(|| view.observations.iter().map(row).collect());
+            plans.push(Plan { view_idx, model, lens: camera.lens, shape, chain, rows_from_middle });
         }
         let n_rows = plans.iter().map(|plan| 2 * dataset.views[plan.view_idx].observations.len()).sum();
         let whole_boards = dataset.targets.iter().map(|_| OnceLock::new()).collect();
@@ -413,6 +442,7 @@ impl RigProblem {
                 camera.cam_from_rig = values.pose(blocks.cam_from_rig);
                 if let Some(late) = blocks.late {
                     camera.time_offset_s = seconds(values, late);
+                    camera.line_delay_s = line_delay(values, late);
                 }
             }
         }

@@ -1,12 +1,13 @@
-//! Cameras that are late: told from a target that moves, jointly with everything else.
+//! Cameras and rows that are late: told from a target that moves, jointly with everything else.
 //!
 //! All images of a frame are taken as of one instant. Where a camera took its own later, it saw the target where that had
 //! moved to by then, and its chain has one link more, between rig and target: the motion of the target in so many seconds
-//! ([`FrameMotion`]). The seconds are one more unknown of the camera, with a sigma like any other.
+//! ([`FrameMotion`]). The seconds are one more unknown of the camera, with a sigma like any other. Where it took its rows
+//! one after another, the seconds are more the further down a point was seen, by the camera's line delay.
 //!
 //! The motion is that of the solution itself: around each frame, the polynomial in time through the poses of its
 //! neighbours, in the tangent space of its own pose. It is taken from a solution and kept while the next is sought, until
-//! the offsets stay. Then the poses of all frames, the motion between them and what each camera saw go together.
+//! the times stay. Then the poses of all frames, the motion between them and what each camera saw go together.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,7 +17,7 @@ use boresight_geometry::{Pose, Vector3, Vector6};
 
 use crate::adjust::adjust;
 use crate::error::Error;
-use crate::options::AdjustOptions;
+use crate::options::{AdjustOptions, Clock};
 
 /// How many frames on each side of a frame tell its motion.
 const NEIGHBOURS: usize = 2;
@@ -24,13 +25,16 @@ const NEIGHBOURS: usize = 2;
 const LONGEST_GAP: f64 = 2.5;
 /// Frames further apart than this are no neighbours, in seconds: a hand's motion has turned by then.
 const LONGEST_GAP_S: f64 = 0.6;
-/// The least number of moving frames that a camera shares with others whose offset is known.
-const LEAST_FRAMES: usize = 6;
+/// The least number of frames with a motion that tell a camera's time: its own, and for an offset those that it shares with
+/// others whose offset is known.
+pub const LEAST_FRAMES: usize = 6;
 /// How often the motion is taken anew.
 const MAX_ROUNDS: usize = 6;
-/// The offsets stay when they change by less than this share of their sigma, or by less than this many seconds.
+/// Times stay when they change by less than this share of their sigma, or by less than this many seconds over an image.
 const SETTLED_SIGMAS: f64 = 0.05;
 const SETTLED_S: f64 = 1e-7;
+/// Where no time is unknown, the motion stays when the RMS changes by less than this share.
+const SETTLED_RMS: f64 = 1e-5;
 
 /// How late a camera's images are.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,27 +49,69 @@ pub struct TimeOffset {
     pub shift_px: f64,
 }
 
-/// A calibration in which cameras may be late.
-#[derive(Clone, Debug)]
-pub struct Timed {
-    /// The calibration; its scene has the offsets and the motion.
-    pub calibration: Calibration,
-    /// The offsets of the cameras of which the data tell them.
-    pub offsets: Vec<TimeOffset>,
+/// How late a camera's rows are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineDelay {
+    /// The camera.
+    pub camera: CameraId,
+    /// How much later than the row above it each row was taken, in seconds.
+    pub line_delay_s: f64,
+    /// The standard deviation of the delay, with the noise that the residuals show.
+    pub sigma_s: f64,
+    /// The number of rows of an image.
+    pub rows: u32,
+    /// How far the target moves in the camera's images from its first to its last row: the median over frames, in pixels.
+    pub shift_px: f64,
 }
 
-/// Adjusts `seed` with the time offsets of all cameras but the reference as unknowns, from `solved`, a scene that was adjusted
-/// without.
+/// A calibration in which cameras and rows may be late.
+#[derive(Clone, Debug)]
+pub struct Timed {
+    /// The calibration; its scene has the times and the motion.
+    pub calibration: Calibration,
+    /// The offsets of the cameras of which they were wanted and the data tell them.
+    pub offsets: Vec<TimeOffset>,
+    /// The line delays likewise.
+    pub line_delays: Vec<LineDelay>,
+}
+
+/// A delay is not told that leaves the time from the first to the last row less well known than this, in seconds: sensors
+/// take 5 to 60 ms.
+pub const LOOSEST_READOUT_S: f64 = 0.01;
+
+impl LineDelay {
+    /// Returns the sigma of the time from the first to the last row, in seconds.
+    pub fn readout_sigma_s(&self) -> f64 {
+        f64::from(self.rows) * self.sigma_s
+    }
+
+    /// Tells whether the images say anything of it: where nothing moves, they do not.
+    pub fn is_told(&self) -> bool {
+        self.readout_sigma_s() <= LOOSEST_READOUT_S
+    }
+}
+
+impl Timed {
+    /// Returns the times that were estimated.
+    pub fn clocks(&self) -> Vec<Clock> {
+        let offsets = self.offsets.iter().map(|offset| Clock::Offset(offset.camera));
+        offsets.chain(self.line_delays.iter().map(|delay| Clock::LineDelay(delay.camera))).collect()
+    }
+}
+
+/// Adjusts `seed` with those `wanted` times as unknowns that the data tell, from `solved`, a scene that was adjusted without.
+/// Line delays that the scene states are kept.
 ///
-/// `None` where nothing tells any offset: fewer than two cameras, a robot, frames without times, or too few frames close
-/// enough in time that cameras share.
+/// `None` where none is told and none stated: a robot, frames without times, or too few frames close enough in time, which
+/// for an offset cameras must share. The reference camera has no offset.
 pub fn adjust_times(
     dataset: &Dataset,
     seed: &Scene,
     solved: &Scene,
+    wanted: &[Clock],
     options: &AdjustOptions,
 ) -> Result<Option<Timed>, Error> {
-    if dataset.cameras.len() < 2 || seed.robot.is_some() {
+    if seed.robot.is_some() {
         return Ok(None);
     }
     // Without offsets, frames of a fast target may have been left out; they have their seed's poses.
@@ -74,64 +120,136 @@ pub fn adjust_times(
         *pose = pose.or(*seeded);
     }
     scene.motion = motion(dataset, &scene);
-    let told = told_cameras(dataset, &scene);
-    if told.is_empty() {
+    let clocks = told(dataset, &scene, wanted);
+    let is_stated = |camera: &boresight_data::RigCamera| camera.line_delay_s != 0.0;
+    if clocks.is_empty() && !scene.rig.cameras.iter().flatten().any(is_stated) {
         return Ok(None);
     }
-    let options = AdjustOptions { time_offsets: told.clone(), ..options.clone() };
-    let mut offsets = vec![0.0; told.len()];
+    let options = AdjustOptions { clocks: clocks.clone(), ..options.clone() };
+    let mut before = (vec![0.0; clocks.len()], f64::INFINITY);
     for round in 1.. {
         let calibration = adjust(dataset, &scene, &options, None)?;
-        let found: Vec<TimeOffset> =
-            told.iter().filter_map(|camera| offset(dataset, &calibration, *camera)).collect();
-        let is_settled = found.len() == told.len()
-            && found.iter().zip(&offsets).all(|(now, before)| {
-                (now.offset_s - before).abs() < (SETTLED_SIGMAS * now.sigma_s).max(SETTLED_S)
-            });
-        if is_settled || round == MAX_ROUNDS || found.len() < told.len() {
-            return Ok(Some(Timed { calibration, offsets: found }));
+        let rms_px = calibration.rms_px;
+        let (mut offsets, mut line_delays) = (Vec::new(), Vec::new());
+        let (mut times_s, mut limits_s) = (Vec::new(), Vec::new());
+        for clock in &clocks {
+            match *clock {
+                Clock::Offset(camera) => {
+                    let Some(found) = offset(dataset, &calibration, camera) else { continue };
+                    times_s.push(found.offset_s);
+                    limits_s.push((SETTLED_SIGMAS * found.sigma_s).max(SETTLED_S));
+                    offsets.push(found);
+                }
+                Clock::LineDelay(camera) => {
+                    let Some(found) = line_delay(dataset, &calibration, camera) else { continue };
+                    times_s.push(found.line_delay_s);
+                    let least_s = SETTLED_S / f64::from(found.rows.max(1));
+                    limits_s.push((SETTLED_SIGMAS * found.sigma_s).max(least_s));
+                    line_delays.push(found);
+                }
+            }
         }
-        offsets = found.iter().map(|found| found.offset_s).collect();
-        let before = std::mem::replace(&mut scene, calibration.scene);
-        for (pose, before) in scene.rig_from_target.iter_mut().zip(&before.rig_from_target) {
-            *pose = pose.or(*before);
+        let are_known = times_s.len() == clocks.len();
+        let changes = times_s.iter().zip(&before.0).zip(&limits_s);
+        let is_settled = are_known
+            && changes.into_iter().all(|((now, before), limit)| (now - before).abs() < *limit)
+            && (!clocks.is_empty() || (before.1 - rms_px).abs() < SETTLED_RMS * rms_px);
+        // Delays that are not told may be anything, and nothing can start from there.
+        let are_told = are_known && line_delays.iter().all(LineDelay::is_told);
+        if is_settled || round == MAX_ROUNDS || !are_told {
+            return Ok(Some(Timed { calibration, offsets, line_delays }));
+        }
+        before = (times_s, rms_px);
+        let last = std::mem::replace(&mut scene, calibration.scene);
+        for (pose, last) in scene.rig_from_target.iter_mut().zip(&last.rig_from_target) {
+            *pose = pose.or(*last);
         }
         scene.motion = motion(dataset, &scene);
     }
     Ok(None)
 }
 
+/// Returns how many views of a camera are of a frame whose motion `scene` tells.
+pub fn views_in_motion(dataset: &Dataset, scene: &Scene, camera: CameraId) -> usize {
+    let motion = motion(dataset, scene);
+    dataset.views.iter().filter(|view| view.camera == camera && motion[view.frame].is_some()).count()
+}
+
+/// Returns those of the wanted times that the data can tell.
+fn told(dataset: &Dataset, scene: &Scene, wanted: &[Clock]) -> Vec<Clock> {
+    let in_step = told_cameras(dataset, scene);
+    let is_told = |clock: &&Clock| match **clock {
+        Clock::Offset(camera) => in_step.contains(&camera),
+        Clock::LineDelay(camera) => {
+            let is_moving = |view: &&View| view.camera == camera && scene.motion[view.frame].is_some();
+            scene.rig.cameras[camera].is_some()
+                && dataset.views.iter().filter(is_moving).count() >= LEAST_FRAMES
+        }
+    };
+    wanted.iter().filter(is_told).copied().collect()
+}
+
+/// Returns the sigma of a camera's time in seconds; `None` if it is not known.
+fn sigma_of(dataset: &Dataset, calibration: &Calibration, camera: CameraId, time: &str) -> Option<f64> {
+    let uncertainty = &calibration.uncertainty;
+    let name = format!("{}.{time}", dataset.cameras[camera].name);
+    let place = uncertainty.names.iter().position(|known| *known == name)?;
+    Some(uncertainty.covariance.get(place * (uncertainty.names.len() + 1))?.sqrt())
+}
+
+/// Returns the median over a camera's views of how far the target moves in their images between two rows.
+fn median_shift_px(
+    dataset: &Dataset,
+    scene: &Scene,
+    camera: CameraId,
+    ends: impl Fn(&View) -> Option<[Pose; 2]>,
+) -> f64 {
+    let views = dataset.views.iter().filter(|view| view.camera == camera);
+    let mut shifts: Vec<f64> = views.filter_map(|view| shift_px(dataset, scene, view, ends(view)?)).collect();
+    shifts.sort_by(f64::total_cmp);
+    shifts.get(shifts.len() / 2).copied().unwrap_or(0.0)
+}
+
 /// Returns a camera's offset; `None` if its sigma is not known.
 fn offset(dataset: &Dataset, calibration: &Calibration, camera: CameraId) -> Option<TimeOffset> {
     let scene = &calibration.scene;
-    let offset_s = scene.rig.cameras[camera].as_ref()?.time_offset_s;
-    let uncertainty = &calibration.uncertainty;
-    let name = format!("{}.time_offset_s", dataset.cameras[camera].name);
-    let place = uncertainty.names.iter().position(|known| *known == name)?;
-    let sigma_s = uncertainty.covariance.get(place * (uncertainty.names.len() + 1))?.sqrt();
-    let mut shifts: Vec<f64> = dataset
-        .views
-        .iter()
-        .filter(|view| view.camera == camera)
-        .filter_map(|view| shift_px(dataset, scene, view))
-        .collect();
-    shifts.sort_by(f64::total_cmp);
-    let shift_px = shifts.get(shifts.len() / 2).copied().unwrap_or(0.0);
-    Some(TimeOffset { camera, offset_s, sigma_s, shift_px })
+    let own = scene.rig.cameras[camera].as_ref()?;
+    let sigma_s = sigma_of(dataset, calibration, camera, "time_offset_s")?;
+    let shift_px = median_shift_px(dataset, scene, camera, |view| {
+        (*scene.motion.get(view.frame)?)?;
+        let in_time = own.cam_from_rig * scene.rig_from_target[view.frame]?;
+        Some([in_time, scene.cam_from_first(camera, view.frame)?])
+    });
+    Some(TimeOffset { camera, offset_s: own.time_offset_s, sigma_s, shift_px })
 }
 
-/// Returns how far the middle of what a view sees moves in its image while its camera is late.
-fn shift_px(dataset: &Dataset, scene: &Scene, view: &View) -> Option<f64> {
+/// Returns a camera's line delay; `None` if its sigma is not known.
+fn line_delay(dataset: &Dataset, calibration: &Calibration, camera: CameraId) -> Option<LineDelay> {
+    let scene = &calibration.scene;
+    let own = scene.rig.cameras[camera].as_ref()?;
+    let sigma_s = sigma_of(dataset, calibration, camera, "line_delay_s")?;
+    let shift_px = median_shift_px(dataset, scene, camera, |view| {
+        (*scene.motion.get(view.frame)?)?;
+        let rows = view.observations.iter().map(|seen| seen.pixel[1]);
+        let [first, last] = rows
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], row| [least.min(row), most.max(row)]);
+        let at_row = |row: f64| scene.cam_from_first_at_row(camera, view.frame, row);
+        Some([at_row(first)?, at_row(last)?])
+    });
+    let rows = own.camera.image_size[1];
+    Some(LineDelay { camera, line_delay_s: own.line_delay_s, sigma_s, rows, shift_px })
+}
+
+/// Returns how far the middle of what a view sees moves in its image between two poses `cam_from_first`.
+fn shift_px(dataset: &Dataset, scene: &Scene, view: &View, cam_from_first: [Pose; 2]) -> Option<f64> {
     let camera = scene.rig.cameras[view.camera].as_ref()?;
-    (*scene.motion.get(view.frame)?)?;
     let belief = &scene.targets[view.target];
     let target = &dataset.targets[view.target];
     let points = view.observations.iter().map(|seen| target.point(seen.point, &belief.shape_m));
     let middle = points.sum::<Vector3<f64>>() / view.observations.len().max(1) as f64;
     let middle_in_first = belief.first_from_target * middle;
-    let in_time = camera.cam_from_rig * scene.rig_from_target[view.frame]? * middle_in_first;
-    let late = scene.cam_from_first(view.camera, view.frame)? * middle_in_first;
-    let [from, to] = [camera.camera.project(&in_time)?, camera.camera.project(&late)?];
+    let [from, to] = cam_from_first.map(|pose| camera.camera.project(&(pose * middle_in_first)));
+    let (from, to) = (from?, to?);
     Some((to[0] - from[0]).hypot(to[1] - from[1]))
 }
 

@@ -104,11 +104,13 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
     let beliefs = Beliefs { options, earlier: earlier.as_ref(), stated: &stated, groups: &groups };
     beliefs.apply(&dataset, &mut seed.scene, &mut adjust_options)?;
     adjust_options.cancel = watch.cancel.clone();
+    options.line_delay.apply(&dataset, &mut seed.scene)?;
     let mut calibration = adjust(&dataset, &seed.scene, &adjust_options, watch.observer.clone())?;
-    let times = time_offset::look(&dataset, &seed.scene, &calibration, options.time_offset, &adjust_options)?;
+    let choices = (options.time_offset, &options.line_delay);
+    let times = time_offset::look(&dataset, &seed.scene, &calibration, choices, &adjust_options)?;
     if let Some(timed) = times.calibration {
         calibration = timed;
-        adjust_options.time_offsets = dataset.cameras.ids().filter(|id| is_late(&calibration, *id)).collect();
+        adjust_options.clocks = times.clocks;
     }
     say_why(&mut calibration, &dataset, &seed.left_out);
     if calibration.solve.converged && calibration.uncertainty.unavailable.is_none() {
@@ -212,11 +214,6 @@ pub fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) ->
         // Where no threads can be had, the caller's own will do; the result is the same.
         Err(_) => work(),
     }
-}
-
-/// Tells whether a camera's time offset was estimated.
-fn is_late(calibration: &Calibration, id: CameraId) -> bool {
-    calibration.scene.rig.cameras[id].as_ref().is_some_and(|camera| camera.time_offset_s != 0.0)
 }
 
 /// Replaces what the adjustment knows of views that were left out by the seed's own reasons.

@@ -74,6 +74,37 @@ pub enum Error {
         /// Why not.
         why: String,
     },
+    /// A line delay is asked for or stated, and nothing is known to move.
+    #[error(
+        "option line_delay: rows of camera {camera} cannot have times of their own: {timed} of {frames} frames have times, \
+         and the target's motion is known in {moving} views of the camera, where {need} are needed"
+    )]
+    NoMotion {
+        /// The camera's name.
+        camera: String,
+        /// The frames that have times.
+        timed: usize,
+        /// All frames.
+        frames: usize,
+        /// The views of the camera whose neighbours in time tell how the target moved.
+        moving: usize,
+        /// How many are needed.
+        need: usize,
+    },
+    /// A line delay is asked for, and the target moves too little to tell it.
+    #[error(
+        "option line_delay: the target moves too little before camera {camera} to tell its line delay: {}, and {limit_ms} ms \
+         is the limit",
+        readout_known_to(*readout_sigma_ms)
+    )]
+    SlowMotion {
+        /// The camera's name.
+        camera: String,
+        /// The sigma of the time from first to last row, in milliseconds; `None` if nothing tells it.
+        readout_sigma_ms: Option<f64>,
+        /// What it may be.
+        limit_ms: f64,
+    },
     /// The caller stopped it.
     #[error("the work was stopped")]
     Cancelled,
@@ -166,6 +197,15 @@ pub enum Error {
     Robot(#[from] crate::robot_error::RobotError),
 }
 
+fn readout_known_to(sigma_ms: Option<f64>) -> String {
+    match sigma_ms {
+        Some(sigma_ms) => {
+            format!("the time from the first row to the last would be known to {sigma_ms:.1} ms")
+        }
+        None => "nothing would be known of the time from the first row to the last".to_owned(),
+    }
+}
+
 impl Error {
     /// Returns who has to act.
     pub fn kind(&self) -> ErrorKind {
@@ -185,9 +225,11 @@ impl Error {
             | Error::Noncentral { .. }
             | Error::MovingRobot
             | Error::NoRobotPoses => ErrorKind::Usage,
-            Error::UnreadablePoses { .. } | Error::Unpaired { .. } | Error::UnpairedJoints { .. } => {
-                ErrorKind::Input
-            }
+            Error::NoMotion { .. }
+            | Error::SlowMotion { .. }
+            | Error::UnreadablePoses { .. }
+            | Error::Unpaired { .. }
+            | Error::UnpairedJoints { .. } => ErrorKind::Input,
             Error::Degenerate(_)
             | Error::NoClosedForm { .. }
             | Error::PoseFit(_)
@@ -250,6 +292,12 @@ impl Error {
                     more => format!(" and {more} others"),
                 };
                 Some(format!("it has {}{more}", known[..known.len().min(SHOWN)].join(", ")))
+            }
+            Error::NoMotion { .. } => text(
+                "take images in quick succession, 0.6 s apart at most, with time stamps or [input] frame_times, while the target moves",
+            ),
+            Error::SlowMotion { .. } => {
+                text("move the target faster, or state the delay with --line-delay SECONDS")
             }
             Error::Noncentral { .. } => text(
                 "take --model cahvor, or auto; a calibrated CAHVORE lens can be used, converted and compared",

@@ -1,6 +1,7 @@
 //! The long text of each code that a finding may bear.
 
 use crate::hand_eye::{ROBOT_CODES, explain_robot};
+use crate::line_delay::LINE_DELAY_TEXTS;
 use crate::recording_texts::RECORDING_TEXTS;
 use crate::robot_texts::TEXTS;
 use crate::time_offset::TIME_OFFSET_TEXTS;
@@ -95,7 +96,13 @@ const OF_INPUT: &[(&str, &str)] = &[
 pub fn explain(code: &str) -> Option<&'static str> {
     let of_input = || OF_INPUT.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
     let of_recording = || RECORDING_TEXTS.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
-    let of_times = || TIME_OFFSET_TEXTS.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
+    let of_times = || {
+        TIME_OFFSET_TEXTS
+            .iter()
+            .chain(LINE_DELAY_TEXTS)
+            .find(|(known, _)| *known == code)
+            .map(|(_, text)| *text)
+    };
     let of_plane = || TEXTS.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
     boresight_validate::explain(code)
         .or_else(of_input)
@@ -115,6 +122,7 @@ pub fn codes() -> Vec<&'static str> {
             .chain(TEXTS)
             .chain(RECORDING_TEXTS)
             .chain(TIME_OFFSET_TEXTS)
+            .chain(LINE_DELAY_TEXTS)
             .map(|(code, _)| *code),
     );
     codes.sort_unstable();

@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use boresight_adjust::{AdjustOptions, Hold, Rejection, optimize};
 use boresight_data::{
-    Calibration, CameraId, Dataset, FrameId, HeldOut, PointId, Scene, TargetId, Transfer, View,
+    Calibration, CameraId, Dataset, FrameId, HeldOut, Observation, PointId, Scene, TargetId, Transfer, View,
 };
 use boresight_geometry::Pose;
 use rayon::prelude::*;
@@ -175,8 +175,8 @@ pub(crate) fn place_frames(
     scene: &Scene,
     options: &AdjustOptions,
 ) -> Result<Scene, Error> {
-    let (holds, time_offsets) = (all_but_frames(dataset, scene), Vec::new());
-    let options = AdjustOptions { holds, rejection: Rejection::None, time_offsets, ..options.clone() };
+    let (holds, clocks) = (all_but_frames(dataset, scene), Vec::new());
+    let options = AdjustOptions { holds, rejection: Rejection::None, clocks, ..options.clone() };
     Ok(optimize(dataset, scene, &options)?.scene)
 }
 
@@ -258,17 +258,21 @@ pub(crate) struct Seen<'a> {
 impl<'a> Seen<'a> {
     pub(crate) fn new(dataset: &Dataset, scene: &'a Scene, view: &View) -> Option<Self> {
         let camera = scene.rig.cameras.get(view.camera)?.as_ref()?;
+        // All rows of a global shutter, and the middle one of any other.
         let cam_from_first = scene.cam_from_first(view.camera, view.frame)?;
         let belief = scene.targets.get(view.target)?;
         let first_from_target =
             if view.target == TargetId(0) { Pose::identity() } else { belief.first_from_target };
-        let cam_from_target = cam_from_first * first_from_target;
         let target = dataset.targets.get(view.target)?;
-        let points_in_cam = view
-            .observations
-            .iter()
-            .map(|observation| cam_from_target * target.point(observation.point, &belief.shape_m))
-            .collect();
+        let in_cam = |observation: &Observation| {
+            let cam_from_first = match camera.line_delay_s {
+                0.0 => cam_from_first,
+                _ => scene.cam_from_first_at_row(view.camera, view.frame, observation.pixel[1])?,
+            };
+            let point = target.point(observation.point, &belief.shape_m);
+            Some(cam_from_first * first_from_target * point)
+        };
+        let points_in_cam = view.observations.iter().map(in_cam).collect::<Option<Vec<_>>>()?;
         Some(Self { camera: &camera.camera, points_in_cam })
     }
 }

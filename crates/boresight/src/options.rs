@@ -16,6 +16,7 @@ use crate::choices::{
     HoldoutChoice, LensChoice, LossChoice, RegularizationChoice, RejectChoice, ShapeChoice,
 };
 use crate::error::Error;
+use crate::line_delay::LineDelayChoice;
 use crate::time_offset::TimeOffsetChoice;
 
 /// How a calibration is made. Flags come before the job file, and that before these defaults.
@@ -54,6 +55,11 @@ pub struct CalibrateOptions {
     /// instant and tells of offsets, `solve` estimates them; `hold` unless told otherwise.
     #[serde(with = "as_text")]
     pub time_offset: TimeOffsetChoice,
+    /// What becomes of cameras that take their rows one after another, where frames have times: `hold` takes the rows as of
+    /// one instant and tells of delays, `solve` estimates them, a number of seconds from row to row states them; after it
+    /// those of single cameras, as in `solve,right=0`. `hold` unless told otherwise.
+    #[serde(with = "as_text")]
+    pub line_delay: LineDelayChoice,
     /// The names of the cameras to calibrate; empty takes all.
     pub cameras: Vec<String>,
     /// The number of threads; 0 takes one for each core. The result does not depend on it.
@@ -103,6 +109,9 @@ impl CalibrateOptions {
         }
         if self.time_offset != TimeOffsetChoice::default() {
             stated.insert("time_offset".to_owned(), self.time_offset.to_string());
+        }
+        if self.line_delay != LineDelayChoice::default() {
+            stated.insert("line_delay".to_owned(), self.line_delay.to_string());
         }
         if !self.cameras.is_empty() {
             stated.insert("cameras".to_owned(), self.cameras.join(","));
@@ -260,6 +269,7 @@ mod tests {
             prior: Some("earlier/calibration.json".into()),
             share_lens: vec!["a+b".to_owned()],
             time_offset: TimeOffsetChoice::Solve,
+            line_delay: "solve,a=2e-5".parse().unwrap(),
             cameras: vec!["a".to_owned()],
             ..CalibrateOptions::default()
         };

@@ -1,13 +1,16 @@
-//! Cameras whose images of one frame were taken at different times, told from a target that moves.
+//! Cameras and rows whose images of one frame were taken at different times, told from a target that moves.
 
 use std::fmt;
 use std::str::FromStr;
 
-use boresight_adjust::{AdjustOptions, TimeOffset, Timed, adjust_times};
-use boresight_data::{Calibration, Dataset, Finding, Scene, Severity};
+use boresight_adjust::{
+    AdjustOptions, Clock, LEAST_FRAMES, LineDelay, TimeOffset, Timed, adjust_times, views_in_motion,
+};
+use boresight_data::{Calibration, CameraId, Dataset, Finding, Scene, Severity};
 
 use crate::choices::BadChoice;
 use crate::error::Error;
+use crate::line_delay::{self, LineDelayChoice, LineDelayUse};
 
 /// What becomes of cameras whose images are late.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -40,10 +43,10 @@ impl FromStr for TimeOffsetChoice {
     }
 }
 
-/// An offset in which the target moves by less in the image does no harm, in pixels.
-const HARMLESS_PX: f64 = 0.05;
-/// How many sigmas tell an offset from none.
-const CERTAIN_SIGMAS: f64 = 4.0;
+/// A time in which the target moves by less in the image does no harm, in pixels.
+pub(crate) const HARMLESS_PX: f64 = 0.05;
+/// How many sigmas tell a time from none.
+pub(crate) const CERTAIN_SIGMAS: f64 = 4.0;
 
 /// The long texts of findings about time offsets, each with its code.
 pub(crate) const TIME_OFFSET_TEXTS: &[(&str, &str)] = &[
@@ -65,65 +68,149 @@ pub(crate) const TIME_OFFSET_TEXTS: &[(&str, &str)] = &[
     ),
 ];
 
-/// What came of looking for time offsets.
+/// What came of looking for times of cameras and rows.
 #[derive(Debug, Default)]
-pub(crate) struct TimeOffsets {
-    /// The calibration with the offsets, where they were asked for and are told.
+pub(crate) struct Times {
+    /// The calibration with the times that were asked for, where they are told, or stated.
     pub calibration: Option<Calibration>,
+    /// Those that were estimated.
+    pub clocks: Vec<Clock>,
     /// What is to be said.
     pub findings: Vec<Finding>,
 }
 
-/// Looks for time offsets between the cameras of a calibration without them, whose frames have times.
+/// Looks for times of cameras and rows in a calibration without them, whose frames have times.
+///
+/// The seed has the line delays that are stated.
 pub(crate) fn look(
     dataset: &Dataset,
     seed: &Scene,
     held: &Calibration,
-    choice: TimeOffsetChoice,
+    (offset_choice, delay_choice): (TimeOffsetChoice, &LineDelayChoice),
     options: &AdjustOptions,
-) -> Result<TimeOffsets, Error> {
+) -> Result<Times, Error> {
     let options = AdjustOptions { checkpoint: None, ..options.clone() };
-    let timed = match (adjust_times(dataset, seed, &held.scene, &options), choice) {
-        (Ok(timed), _) => timed,
-        // Who did not ask for offsets has a calibration, whatever became of looking for them.
-        (Err(_), TimeOffsetChoice::Hold) => None,
-        (Err(error), TimeOffsetChoice::Solve) => return Err(error.into()),
+    let reference = held.scene.rig.reference();
+    let cameras = dataset.cameras.ids().filter(|id| Some(*id) != reference);
+    let offsets: Vec<Clock> = cameras.map(Clock::Offset).collect();
+    let [mut asked, mut others] = delay_choice.clocks(dataset);
+    // A lens of very many parameters has no place for rows of different times.
+    let is_local = |id: CameraId| {
+        let camera = held.scene.rig.cameras[id].as_ref();
+        camera.is_some_and(|camera| camera.camera.model.local_support().is_some())
     };
-    let timed = timed.filter(|timed| timed.calibration.solve.converged && !timed.offsets.is_empty());
-    let reference = held.scene.rig.reference().map_or("", |id| dataset.cameras[id].name.as_str());
-    let name = |offset: &TimeOffset| dataset.cameras[offset.camera].name.as_str();
-    Ok(match (timed, choice) {
-        (None, TimeOffsetChoice::Hold) => TimeOffsets::default(),
-        (None, TimeOffsetChoice::Solve) => {
-            let findings = vec![not_told(reference)];
-            TimeOffsets { calibration: None, findings }
+    others.retain(|clock| !matches!(clock, Clock::LineDelay(id) if is_local(*id)));
+    match offset_choice {
+        TimeOffsetChoice::Solve => asked.extend(&offsets),
+        TimeOffsetChoice::Hold => others.extend(&offsets),
+    }
+    let mut times = Times::default();
+    let states_delay = seed.rig.cameras.iter().flatten().any(|camera| camera.line_delay_s != 0.0);
+    if !asked.is_empty() || states_delay {
+        let timed = adjust_times(dataset, seed, &held.scene, &asked, &options)?;
+        // Where rows have times of their own there is no way back to those that have not: that it did not converge is told.
+        let has_delays = states_delay || asked.iter().any(|clock| matches!(clock, Clock::LineDelay(_)));
+        let timed = timed.filter(|timed| has_delays || timed.calibration.solve.converged);
+        check_delays(dataset, held, delay_choice, timed.as_ref())?;
+        let has_offsets = timed.as_ref().is_some_and(|timed| !timed.offsets.is_empty());
+        if offset_choice == TimeOffsetChoice::Solve && !has_offsets {
+            times.findings.push(not_told(reference.map_or("", |id| &dataset.cameras[id].name)));
         }
-        (Some(Timed { offsets, .. }), TimeOffsetChoice::Hold) => {
-            let findings = offsets.iter().filter(|offset| matters(offset)).map(|offset| Finding {
-                code: TIME_OFFSET_TEXTS[0].0.to_owned(),
-                severity: Severity::Caution,
-                place: name(offset).to_owned(),
-                message: describe(offset, reference, name(offset)),
-                measured: Some(1e3 * offset.offset_s),
-                limit: Some(1e3 * CERTAIN_SIGMAS * offset.sigma_s),
-                fix: "--time-offset solve estimates it; or trigger the cameras together, or hold the target still"
-                    .to_owned(),
-            });
-            TimeOffsets { calibration: None, findings: findings.collect() }
+        if let Some(timed) =
+            timed.filter(|timed| has_offsets || !timed.line_delays.is_empty() || states_delay)
+        {
+            times.findings.extend(used(dataset, held, &timed));
+            times.clocks = timed.clocks();
+            times.calibration = Some(timed.calibration);
         }
-        (Some(Timed { calibration, offsets }), TimeOffsetChoice::Solve) => {
-            let findings = offsets.iter().filter(|offset| matters(offset)).map(|offset| Finding {
-                code: TIME_OFFSET_TEXTS[0].0.to_owned(),
-                severity: Severity::Note,
-                place: name(offset).to_owned(),
-                message: format!("{}; this is estimated and used", describe(offset, reference, name(offset))),
-                measured: Some(1e3 * offset.offset_s),
-                limit: None,
-                fix: "trigger the cameras together, or correct the stamps by this much".to_owned(),
-            });
-            TimeOffsets { findings: findings.collect(), calibration: Some(calibration) }
+    }
+    // What was not asked for is looked for all the same; if rows cannot be told, perhaps cameras can.
+    let start = times.calibration.as_ref().map_or(&held.scene, |calibration| &calibration.scene);
+    let offsets_alone: Vec<Clock> =
+        others.iter().filter(|clock| matches!(clock, Clock::Offset(_))).copied().collect();
+    for looked_for in [&others, &offsets_alone].into_iter().filter(|clocks| !clocks.is_empty()) {
+        let wanted = [&times.clocks[..], looked_for].concat();
+        // Who did not ask has a calibration, whatever becomes of looking.
+        let Ok(Some(timed)) = adjust_times(dataset, seed, start, &wanted, &options) else { continue };
+        let are_told = timed.line_delays.iter().all(LineDelay::is_told);
+        if are_told && timed.calibration.solve.converged && !timed.clocks().is_empty() {
+            times.findings.extend(unused(dataset, held, &timed, looked_for));
+            break;
         }
-    })
+    }
+    Ok(times)
+}
+
+/// Returns an error if line delays were asked for and are not told, or are stated where nothing is known to move.
+fn check_delays(
+    dataset: &Dataset,
+    held: &Calibration,
+    delay_choice: &LineDelayChoice,
+    timed: Option<&Timed>,
+) -> Result<(), Error> {
+    for (camera, info) in dataset.cameras.enumerate() {
+        if held.scene.rig.cameras[camera].is_none() {
+            continue;
+        }
+        let told = timed.and_then(|timed| timed.line_delays.iter().find(|delay| delay.camera == camera));
+        let need = match delay_choice.of(&info.name) {
+            LineDelayUse::Hold | LineDelayUse::Given(0.0) => continue,
+            LineDelayUse::Given(_) => 1,
+            LineDelayUse::Solve => LEAST_FRAMES,
+        };
+        // A robot's frames are where it says, and their motion is not looked at.
+        let moving = match held.scene.robot {
+            Some(_) => 0,
+            None => views_in_motion(dataset, &held.scene, camera),
+        };
+        if moving < need {
+            let timed = dataset.frames.iter().filter(|frame| frame.time_ns.is_some()).count();
+            let (camera, frames) = (info.name.clone(), dataset.frames.len());
+            return Err(Error::NoMotion { camera, timed, frames, moving, need });
+        }
+        if delay_choice.of(&info.name) == LineDelayUse::Solve {
+            line_delay::check_told(told, &info.name)?;
+        }
+    }
+    Ok(())
+}
+
+/// Returns what is to be said of times that were asked for and are used.
+fn used(dataset: &Dataset, held: &Calibration, timed: &Timed) -> Vec<Finding> {
+    let name = |camera: CameraId| dataset.cameras[camera].name.as_str();
+    let reference = held.scene.rig.reference().map_or("", name);
+    let offsets = timed.offsets.iter().filter(|offset| matters(offset)).map(|offset| Finding {
+        code: TIME_OFFSET_TEXTS[0].0.to_owned(),
+        severity: Severity::Note,
+        place: name(offset.camera).to_owned(),
+        message: format!("{}; this is estimated and used", describe(offset, reference, name(offset.camera))),
+        measured: Some(1e3 * offset.offset_s),
+        limit: None,
+        fix: "trigger the cameras together, or correct the stamps by this much".to_owned(),
+    });
+    let delays = timed.line_delays.iter().filter(|delay| line_delay::matters(delay));
+    offsets.chain(delays.map(|delay| line_delay::used(delay, name(delay.camera)))).collect()
+}
+
+/// Returns what is to be said of times that were looked for and are not used.
+fn unused(dataset: &Dataset, held: &Calibration, timed: &Timed, looked_for: &[Clock]) -> Vec<Finding> {
+    let name = |camera: CameraId| dataset.cameras[camera].name.as_str();
+    let reference = held.scene.rig.reference().map_or("", name);
+    let offsets = timed.offsets.iter().filter(|offset| looked_for.contains(&Clock::Offset(offset.camera)));
+    let offsets = offsets.filter(|offset| matters(offset)).map(|offset| Finding {
+        code: TIME_OFFSET_TEXTS[0].0.to_owned(),
+        severity: Severity::Caution,
+        place: name(offset.camera).to_owned(),
+        message: describe(offset, reference, name(offset.camera)),
+        measured: Some(1e3 * offset.offset_s),
+        limit: Some(1e3 * CERTAIN_SIGMAS * offset.sigma_s),
+        fix: "--time-offset solve estimates it; or trigger the cameras together, or hold the target still"
+            .to_owned(),
+    });
+    let delays = timed.line_delays.iter();
+    let delays = delays.filter(|delay| looked_for.contains(&Clock::LineDelay(delay.camera)));
+    let delays = delays.filter(|delay| line_delay::matters(delay));
+    offsets.chain(delays.map(|delay| line_delay::found(delay, name(delay.camera)))).collect()
 }
 
 /// Tells whether an offset is certain and does harm.

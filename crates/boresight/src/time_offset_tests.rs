@@ -10,7 +10,11 @@ use crate::{CalibrateOptions, Outcome, Watch, calibrate};
 /// Two cameras at ten images a second, the second so much later than the stamps say.
 fn waved(late_s: f64, frames: usize, seed: u64) -> Synthetic {
     let recipe = Recipe { frames, ..Recipe::stereo() };
-    simulate_moving(&recipe, &Timing { period_s: 0.1, late_s: vec![0.0, late_s], speed: 1.0 }, seed)
+    simulate_moving(
+        &recipe,
+        &Timing { period_s: 0.1, late_s: vec![0.0, late_s], line_delay_s: Vec::new(), speed: 1.0 },
+        seed,
+    )
 }
 
 fn calibrated(made: &Synthetic, time_offset: TimeOffsetChoice) -> Outcome {

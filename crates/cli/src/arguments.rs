@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use boresight::{
-    HoldChoice, HoldoutChoice, LensChoice, LossChoice, Model, RegularizationChoice, RejectChoice,
-    ShapeChoice, Target, TimeOffsetChoice,
+    HoldChoice, HoldoutChoice, LensChoice, LineDelayChoice, LossChoice, Model, RegularizationChoice,
+    RejectChoice, ShapeChoice, Target, TimeOffsetChoice,
 };
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
@@ -158,6 +158,10 @@ pub(crate) struct CalibrateArguments {
     /// or solve (it is estimated) [default: hold]
     #[arg(long, value_name = "hold|solve")]
     pub time_offset: Option<TimeOffsetChoice>,
+    /// What becomes of cameras that take their rows one after another while the target moves: hold (it is told), solve (it is
+    /// estimated), or the seconds from row to row; after it those of single cameras, as in solve,right=0 [default: hold]
+    #[arg(long, value_name = "hold|solve|SECONDS", allow_hyphen_values = true)]
+    pub line_delay: Option<LineDelayChoice>,
     /// Calibrate these cameras only
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     pub cameras: Vec<String>,

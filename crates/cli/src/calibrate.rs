@@ -84,6 +84,7 @@ fn layered(job: &Job, arguments: &CalibrateArguments) -> Result<CalibrateOptions
             arguments.share_lens.clone()
         },
         time_offset: arguments.time_offset.unwrap_or(stated.time_offset),
+        line_delay: arguments.line_delay.clone().unwrap_or(stated.line_delay),
         cameras: if arguments.cameras.is_empty() { stated.cameras } else { arguments.cameras.clone() },
         jobs: arguments.jobs.unwrap_or(stated.jobs),
     })

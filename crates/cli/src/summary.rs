@@ -67,6 +67,7 @@ pub(crate) fn of_calibration(calibration: &Calibration) -> String {
     let mut blocks = vec![cameras(calibration)];
     blocks.extend(lenses(calibration));
     blocks.extend(rig(calibration));
+    blocks.extend(rows_in_time(calibration));
     blocks.push(solve(calibration));
     blocks.join("\n")
 }
@@ -209,6 +210,20 @@ fn rig(calibration: &Calibration) -> Option<String> {
         }
     }
     (rows.len() > 1).then(|| aligned(&rows) + &note)
+}
+
+/// Returns how late the rows of cameras are, or `None` where they are taken as of one instant.
+fn rows_in_time(calibration: &Calibration) -> Option<String> {
+    let mut rows = vec![row(["rows", "delay us", "first to last ms"])];
+    for (fit, RigCamera { camera, line_delay_s, .. }) in calibrated(calibration) {
+        let sigma_s = sigma_of(calibration, &format!("{}.line_delay_s", fit.name));
+        if *line_delay_s != 0.0 || sigma_s.is_some() {
+            let delay_us = with_sigma(1e6 * line_delay_s, sigma_s.map(|sigma_s| 1e6 * sigma_s));
+            let n_delays = f64::from(camera.image_size[1].saturating_sub(1));
+            rows.push(row([&fit.name, &delay_us, &format!("{:.2}", 1e3 * line_delay_s * n_delays)]));
+        }
+    }
+    (rows.len() > 1).then(|| aligned(&rows))
 }
 
 /// Returns how well frames are predicted that were left out.

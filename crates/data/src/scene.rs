@@ -47,6 +47,9 @@ pub struct RigCamera {
     pub cam_from_rig: Pose,
     /// How much later than a frame's time the camera took its image of it, in seconds; zero unless that was estimated.
     pub time_offset_s: f64,
+    /// How much later than the row above it each row of an image was taken, in seconds; zero for a global shutter. An
+    /// image's time is that of its middle row.
+    pub line_delay_s: f64,
 }
 
 /// What is believed of a target beyond its drawing.
@@ -220,17 +223,44 @@ fn bracket(a: &Vector6<f64>, b: &Vector6<f64>) -> Vector6<f64> {
 }
 
 impl Scene {
-    /// Returns the first target's pose in a camera as it took its image of a frame; `None` where either is unknown.
+    /// Returns the first target's pose in a camera as it took the middle row of its image of a frame; `None` where either
+    /// is unknown.
     ///
     /// Where nothing tells how the target moved, it is taken to have stood still.
     pub fn cam_from_first(&self, camera: CameraId, frame: FrameId) -> Option<Pose> {
+        self.cam_from_first_after(camera, frame, self.rig.cameras.get(camera)?.as_ref()?.time_offset_s)
+    }
+
+    /// Returns the same as the camera took row `v_px` of its image.
+    pub fn cam_from_first_at_row(&self, camera: CameraId, frame: FrameId, v_px: f64) -> Option<Pose> {
+        self.cam_from_first_after(camera, frame, self.rig.cameras.get(camera)?.as_ref()?.late_s(v_px))
+    }
+
+    fn cam_from_first_after(&self, camera: CameraId, frame: FrameId, time_s: f64) -> Option<Pose> {
         let camera = self.rig.cameras.get(camera)?.as_ref()?;
         let rig_from_target = (*self.rig_from_target.get(frame)?)?;
-        let motion = self.motion.get(frame).copied().flatten().filter(|_| camera.time_offset_s != 0.0);
+        let motion = self.motion.get(frame).copied().flatten().filter(|_| time_s != 0.0);
         Some(match motion {
-            Some(motion) => camera.cam_from_rig * motion.after(camera.time_offset_s) * rig_from_target,
+            Some(motion) => camera.cam_from_rig * motion.after(time_s) * rig_from_target,
             None => camera.cam_from_rig * rig_from_target,
         })
+    }
+}
+
+impl RigCamera {
+    /// Returns a camera that takes its images at the frames' times, all rows at once.
+    pub fn new(camera: Camera, cam_from_rig: Pose) -> Self {
+        Self { camera, cam_from_rig, time_offset_s: 0.0, line_delay_s: 0.0 }
+    }
+
+    /// Returns how many rows below the middle of its images row `v_px` is.
+    pub fn rows_from_middle(&self, v_px: f64) -> f64 {
+        v_px - 0.5 * (f64::from(self.camera.image_size[1]) - 1.0)
+    }
+
+    /// Returns how much later than a frame's time the camera took row `v_px` of its image of it, in seconds.
+    pub fn late_s(&self, v_px: f64) -> f64 {
+        self.time_offset_s + self.line_delay_s * self.rows_from_middle(v_px)
     }
 }
 

@@ -47,6 +47,9 @@ pub(crate) struct CameraDocument {
     /// How much later than a frame's time its images were taken, where that was estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_offset_s: Option<Param>,
+    /// How much later than the row above it each row of its images was taken, where that was estimated or stated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub line_delay_s: Option<Param>,
     pub rms_px: Number,
     pub views: usize,
     pub observations: usize,

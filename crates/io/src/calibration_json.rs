@@ -338,12 +338,15 @@ fn write_camera(
         params: None,
         cam_from_rig: None,
         time_offset_s: None,
+        line_delay_s: None,
         rms_px: fit.rms_px.into(),
         views: fit.views,
         observations: fit.observations,
         rejected: fit.rejected,
     };
-    let Some(RigCamera { camera, cam_from_rig, time_offset_s }) = camera else { return Ok(document) };
+    let Some(RigCamera { camera, cam_from_rig, time_offset_s, line_delay_s }) = camera else {
+        return Ok(document);
+    };
     let names = camera.model.param_names();
     same_length("parameters of a camera", camera.params.len(), names.len())?;
     let param = |param: &str, value: f64| {
@@ -365,8 +368,12 @@ fn write_camera(
         translation_sigma_m: of_pose(["tx_m", "ty_m", "tz_m"]),
         ..write_pose(cam_from_rig, name)?
     });
-    let late = param("time_offset_s", *time_offset_s)?;
-    document.time_offset_s = (late.value != 0.0 || late.sigma.is_some()).then_some(late);
+    let clock = |name: &str, value: f64| {
+        let clock = param(name, value)?;
+        Ok::<_, Error>((clock.value != 0.0 || clock.sigma.is_some()).then_some(clock))
+    };
+    document.time_offset_s = clock("time_offset_s", *time_offset_s)?;
+    document.line_delay_s = clock("line_delay_s", *line_delay_s)?;
     Ok(document)
 }
 
@@ -480,7 +487,9 @@ impl Reader<'_> {
     }
 
     fn camera(&self, i: usize, document: CameraDocument) -> Result<Option<RigCamera>, Error> {
-        let CameraDocument { name, model, image_size, params, cam_from_rig, time_offset_s, .. } = document;
+        let CameraDocument {
+            name, model, image_size, params, cam_from_rig, time_offset_s, line_delay_s, ..
+        } = document;
         let (Some(model), Some(image_size), Some(Params(params)), Some(pose)) =
             (model, image_size, params, cam_from_rig)
         else {
@@ -510,6 +519,7 @@ impl Reader<'_> {
             camera,
             cam_from_rig,
             time_offset_s: time_offset_s.map_or(0.0, |late| late.value),
+            line_delay_s: line_delay_s.map_or(0.0, |delay| delay.value),
         }))
     }
 

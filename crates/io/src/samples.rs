@@ -22,7 +22,7 @@ pub(crate) fn rig(lenses: &[(&str, Vec<f64>)]) -> Vec<Option<RigCamera>> {
                 Vector3::new(-0.1 * i, 1.0 / 3.0, 1e-7),
             ),
         };
-        Some(RigCamera { camera, cam_from_rig, time_offset_s: 0.001 * i / 3.0 })
+        Some(RigCamera { camera, cam_from_rig, time_offset_s: 0.001 * i / 3.0, line_delay_s: 2e-5 * i / 7.0 })
     };
     lenses.iter().enumerate().map(camera).collect()
 }

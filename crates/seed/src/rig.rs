@@ -45,9 +45,10 @@ pub(crate) fn assemble(
     refine_rig(&frames, &mut arrangement, &mut rig_from_target);
     settle_frames(&mut frames, &arrangement, &mut rig_from_target, view_facts);
 
-    let cameras = cameras.into_iter().zip(&arrangement.cam_from_rig).map(|(seeded, cam_from_rig)| {
-        Some(RigCamera { camera: seeded?.camera, cam_from_rig: (*cam_from_rig)?, time_offset_s: 0.0 })
-    });
+    let cameras = cameras
+        .into_iter()
+        .zip(&arrangement.cam_from_rig)
+        .map(|(seeded, cam_from_rig)| Some(RigCamera::new(seeded?.camera, (*cam_from_rig)?)));
     let rig = Rig { cameras: cameras.collect() };
     let targets = dataset.targets.enumerate().map(|(id, target)| TargetBelief {
         shape_m: vec![0.0; target.shape.coefficient_count()],

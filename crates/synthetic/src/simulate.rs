@@ -107,13 +107,8 @@ pub(crate) fn observe(
 }
 
 pub(crate) fn truth_without_frames(recipe: &Recipe) -> Scene {
-    let cameras = recipe.cameras.iter().map(|placed| {
-        Some(RigCamera {
-            camera: placed.camera.clone(),
-            cam_from_rig: placed.cam_from_rig,
-            time_offset_s: 0.0,
-        })
-    });
+    let cameras =
+        recipe.cameras.iter().map(|placed| Some(RigCamera::new(placed.camera.clone(), placed.cam_from_rig)));
     let belief = TargetBelief { shape_m: recipe.shape_m.clone(), first_from_target: Pose::identity() };
     Scene { rig: Rig { cameras: cameras.collect() }, targets: vec![belief].into(), ..Scene::default() }
 }

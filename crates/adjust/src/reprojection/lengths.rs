@@ -13,7 +13,17 @@ impl Reprojection {
     /// Returns the length of each observation's residual in its sigmas, whether it counts or not; infinite
     /// where the lens does not see the point.
     pub(crate) fn lengths(&self, values: Values<'_>, observations: &[Observation]) -> Vec<f64> {
-        let mut lengths = self.model.visit(Measure { term: self, values });
+        let mut lengths = match &self.row_times {
+            None => self.model.visit(Measure { term: self, values }),
+            Some(times) => {
+                let predictions = self.predict_rolling(times, values).into_iter().zip(observations);
+                let length =
+                    |([u, v], seen): ([f64; 2], &Observation)| (u - seen.pixel[0]).hypot(v - seen.pixel[1]);
+                let lengths = predictions
+                    .map(|(pixel, seen)| pixel.map_or(f64::INFINITY, |pixel| length((pixel, seen))));
+                lengths.collect()
+            }
+        };
         lengths.truncate(observations.len());
         lengths.iter_mut().zip(observations).for_each(|(length, seen)| *length /= seen.sigma_px);
         lengths
