@@ -184,9 +184,23 @@ fn told(dataset: &Dataset, scene: &Scene, wanted: &[Clock]) -> Vec<Clock> {
             let is_moving = |view: &&View| view.camera == camera && scene.motion[view.frame].is_some();
             scene.rig.cameras[camera].is_some()
                 && dataset.views.iter().filter(is_moving).count() >= LEAST_FRAMES
+                && line_delay_information(dataset, scene, camera) > LOOSEST_READOUT_S.powi(-2)
         }
     };
     wanted.iter().filter(is_told).copied().collect()
+}
+
+/// Returns at most how much a camera's views tell of the time from its first to its last row, in s⁻²: what they would if
+/// all corners were in the last row, and all else were known.
+fn line_delay_information(dataset: &Dataset, scene: &Scene, camera: CameraId) -> f64 {
+    let information = |view: &View| {
+        let cam_from_rig = scene.rig.cameras[camera].as_ref()?.cam_from_rig;
+        let (rig_from_target, motion) = (scene.rig_from_target[view.frame]?, scene.motion[view.frame]?);
+        let ends = [0.0, LOOSEST_READOUT_S].map(|time_s| motion.after(time_s) * rig_from_target);
+        let rate_px = shift_px(dataset, scene, view, ends.map(|pose| cam_from_rig * pose))? / LOOSEST_READOUT_S;
+        Some(view.observations.iter().map(|seen| (rate_px / seen.sigma_px).powi(2)).sum::<f64>())
+    };
+    dataset.views.iter().filter(|view| view.camera == camera).filter_map(information).sum()
 }
 
 /// Returns the sigma of a camera's time in seconds; `None` if it is not known.
