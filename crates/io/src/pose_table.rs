@@ -18,6 +18,23 @@ pub struct PoseTable {
     pub rows: Vec<PoseRow>,
     /// What the header or the form of the table says of its convention.
     pub convention: Option<PoseConvention>,
+    /// The units that a header names.
+    pub units: Option<(LengthUnit, AngleUnit)>,
+}
+
+impl PoseTable {
+    /// Returns how its rows are read: as is stated, in the units that its header names; or else as its form tells.
+    pub fn read_as(&self, stated: Option<PoseConvention>) -> Option<PoseConvention> {
+        let stated = stated.or(self.convention)?;
+        let (length, angle) = self.units.unwrap_or((stated.length, stated.angle));
+        // Names say which number of a quaternion or a matrix is which, in whatever order the maker writes them.
+        let named = self.units.and(self.convention).map(|own| own.rotation);
+        let is_alike = |own: &RotationKind| own.number_count() == stated.rotation.number_count();
+        match named.filter(|own| !own.has_angles()).filter(is_alike) {
+            Some(rotation) => Some(PoseConvention { rotation, length, ..stated }),
+            None => Some(PoseConvention { length, angle, ..stated }),
+        }
+    }
 }
 
 /// The columns in which a table has rotations.
@@ -93,7 +110,10 @@ fn read_matrix(file: &str, text: &str) -> Result<PoseTable, Error> {
     let words = words.filter(|word| !word.is_empty() && *word != "-");
     let numbers: Vec<f64> = words.map_while(|word| word.parse().ok()).collect();
     match row(&numbers) {
-        Some(found) => Ok(PoseTable { convention: convention_of(&found, &numbers), rows: vec![found] }),
+        Some(found) => {
+            let convention = convention_of(&found, &numbers);
+            Ok(PoseTable { convention, rows: vec![found], units: None })
+        }
         None => Err(malformed(Place::file(file), numbers.len())),
     }
 }
@@ -120,7 +140,7 @@ fn read_lines(file: &str, text: &str) -> Result<PoseTable, Error> {
         let is_first = header.is_none() && table.rows.is_empty();
         if is_first && fields.iter().any(|field| field.starts_with(|c: char| c.is_ascii_alphabetic())) {
             let read = Header::new(&fields, place())?;
-            table.convention = read.convention;
+            (table.convention, table.units) = (read.convention, Some(read.units));
             header = Some(read);
             continue;
         }
@@ -203,6 +223,7 @@ struct Header {
     position: [usize; 3],
     rotation: Vec<usize>,
     convention: Option<PoseConvention>,
+    units: (LengthUnit, AngleUnit),
 }
 
 impl Header {
@@ -240,6 +261,7 @@ impl Header {
             position: [position[0], position[1], position[2]],
             rotation,
             convention: named.kind().map(plain),
+            units: (length, angle),
         })
     }
 

@@ -153,17 +153,26 @@ pub(crate) fn load_robot(
         message,
         fix: Some(fix.to_owned()),
     };
-    let (mut rows, mut hashes, mut told) = (Vec::new(), Vec::new(), None);
-    for (name, path) in files {
-        let bytes = read(&path)?;
-        hashes.push((name, hash(&bytes)));
-        let mut read = read_pose_table(&path.display().to_string(), &bytes)?;
-        told = told.or(read.convention);
-        rows.append(&mut read.rows);
-    }
     let stated = table.convention.as_ref().map(|text| text.parse::<PoseConvention>()).transpose();
     let stated = stated.map_err(|error| config(error.to_string(), "mend `convention` of [robot]"))?;
-    let convention = overrides.convention.or(stated).or(told).ok_or_else(|| {
+    let said = overrides.convention.or(stated);
+    let (mut rows, mut hashes) = (Vec::new(), Vec::new());
+    let mut told: Option<PoseConvention> = None;
+    for (name, path) in files {
+        let bytes = read(&path)?;
+        let mut read = read_pose_table(&path.display().to_string(), &bytes)?;
+        let own = read.read_as(said);
+        if let (Some(told), Some(own)) = (told, own)
+            && told != own
+        {
+            let message = format!("the poses of {name} are written as {own}, those before as {told}");
+            return Err(config(message, "write all tables of poses alike"));
+        }
+        hashes.push((name, hash(&bytes)));
+        told = told.or(own);
+        rows.append(&mut read.rows);
+    }
+    let convention = told.ok_or_else(|| {
         let message = "the table of poses does not say what its angles mean".to_owned();
         config(message, "add convention = \"kuka-abc\" (or another) to [robot], or --poses-as")
     })?;
@@ -186,15 +195,7 @@ pub(crate) fn load_robot(
         let bytes = read(&folder.join(name))?;
         hashes.push((name.clone(), hash(&bytes)));
         let file = folder.join(name).display().to_string();
-        touches = Some(read_touches(
-            &file,
-            &bytes,
-            table,
-            overrides.convention.or(stated),
-            convention,
-            dataset,
-            place,
-        )?);
+        touches = Some(read_touches(&file, &bytes, table, said, convention, dataset, place)?);
     }
     if let Some(name) = &table.frame_times {
         let path = folder.join(name);
@@ -246,7 +247,7 @@ fn read_touches(
         fix: Some(fix.to_owned()),
     };
     let read = read_pose_table(file, bytes)?;
-    let convention = stated.or(read.convention).unwrap_or(of_poses);
+    let convention = read.read_as(stated).or_else(|| read.read_as(Some(of_poses))).unwrap_or(of_poses);
     let sigma_mm = table.touch_sigma_mm.filter(|sigma_mm| sigma_mm.is_finite() && *sigma_mm > 0.0);
     let sigma_mm = sigma_mm.ok_or_else(|| {
         let message = "[robot] has touches, and no `touch_sigma_mm` that is positive".to_owned();

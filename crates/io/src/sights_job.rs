@@ -176,7 +176,7 @@ impl Reader {
         for (name, path) in files {
             let (bytes, file) = self.bytes(name, path.as_ref())?;
             let table = read_pose_table(&file, &bytes)?;
-            let convention = said.or(stated).or(table.convention).ok_or_else(|| {
+            let convention = table.read_as(said.or(stated)).ok_or_else(|| {
                 let message = format!("{name} does not say what its angles mean");
                 self.config(message, "add convention = \"kuka-abc\" (or another) beside it")
             })?;
