@@ -157,7 +157,13 @@ fn read_lines(file: &str, text: &str) -> Result<PoseTable, Error> {
             None => {
                 let numbers: Vec<f64> = fields.iter().enumerate().map(number).collect::<Result<_, _>>()?;
                 let found = row(&numbers).ok_or_else(|| malformed(place(), numbers.len()))?;
-                table.convention = table.convention.or_else(|| convention_of(&found, &numbers));
+                let own = convention_of(&found, &numbers);
+                if own.is_some() && table.convention.is_some() && own != table.convention {
+                    let found =
+                        "a matrix that is written the other way round than those before it".to_owned();
+                    return Err(Error::Malformed { place: place(), found, need: NEED });
+                }
+                table.convention = table.convention.or(own);
                 found
             }
         };
@@ -167,6 +173,10 @@ fn read_lines(file: &str, text: &str) -> Result<PoseTable, Error> {
             return Err(malformed(place(), fields.len()));
         }
         table.rows.push(found);
+    }
+    // Turns alone are read row by row.
+    if header.is_none() && table.rows.first().is_some_and(|row| row.rotation.len() == 9) {
+        table.convention = table.convention.or(Some(PoseConvention::plain(RotationKind::Matrix)));
     }
     Ok(table)
 }
@@ -187,10 +197,8 @@ fn row(numbers: &[f64]) -> Option<PoseRow> {
     };
     match numbers.len() {
         // The zeros of the last row tell a matrix by rows from one by columns, which becomes one by rows of R'.
-        16 if numbers[12..15].iter().all(|number| number.abs() < 1e-9) => {
-            Some(matrix([0, 1, 2, 4, 5, 6, 8, 9, 10], [3, 7, 11]))
-        }
-        16 if [3, 7, 11].iter().all(|&i: &usize| numbers[i].abs() < 1e-9) => {
+        16 if numbers[12..15].iter().all(is_zero) => Some(matrix([0, 1, 2, 4, 5, 6, 8, 9, 10], [3, 7, 11])),
+        16 if [3, 7, 11].iter().all(|&i: &usize| is_zero(&numbers[i])) => {
             Some(matrix([0, 1, 2, 4, 5, 6, 8, 9, 10], [12, 13, 14]))
         }
         12 => Some(matrix([0, 1, 2, 4, 5, 6, 8, 9, 10], [3, 7, 11])),
@@ -200,9 +208,13 @@ fn row(numbers: &[f64]) -> Option<PoseRow> {
     }
 }
 
-/// Returns the convention that the form of bare numbers tells.
+/// Returns the convention that the form of bare numbers tells; `None` of a matrix without a translation, which is as
+/// good by rows as by columns.
 fn convention_of(row: &PoseRow, numbers: &[f64]) -> Option<PoseConvention> {
-    let by_rows = numbers.len() == 12 || numbers.get(12..15).is_some_and(|last| last == [0.0; 3]);
+    let by_rows = numbers.len() == 12 || numbers.get(12..15).is_some_and(|last| last.iter().all(is_zero));
+    if by_rows && numbers.len() == 16 && [3, 7, 11].iter().all(|&i: &usize| is_zero(&numbers[i])) {
+        return None;
+    }
     Some(PoseConvention::plain(match row.rotation.len() {
         9 if by_rows => RotationKind::Matrix,
         9 => RotationKind::MatrixByColumns,
@@ -210,6 +222,10 @@ fn convention_of(row: &PoseRow, numbers: &[f64]) -> Option<PoseConvention> {
         3 => RotationKind::RotationVector,
         _ => return None,
     }))
+}
+
+fn is_zero(number: &f64) -> bool {
+    number.abs() < 1e-9
 }
 
 /// Reads the field of a column.
