@@ -13,6 +13,7 @@
 //! tip_mm = [0.0, 0.0, 150.0]   # the tip on what bears the cameras, flange or base; left out, it is estimated
 //! ```
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use boresight_data::{Dataset, Id as _, Mounting, PointId, PoseConvention, PoseRow};
@@ -337,6 +338,14 @@ fn rows_of_frames(dataset: &Dataset, rows: &[PoseRow], place: &Place) -> Result<
         fix: Some(fix.to_owned()),
     };
     if rows.iter().any(|row| row.frame.is_some()) {
+        let mut known = BTreeSet::new();
+        let mut names = rows.iter().filter_map(|row| row.frame.as_deref()).filter(|name| !name.is_empty());
+        if let Some(name) = names.find(|name| !known.insert(*name)) {
+            return Err(config(
+                format!("frame {name} has two rows of poses"),
+                "leave the one with which its image was taken",
+            ));
+        }
         let found: Vec<Option<usize>> = dataset
             .frames
             .iter()
