@@ -50,7 +50,8 @@ pub struct PoseFit<M> {
     pub sigmas: Vec<Option<f64>>,
     /// The same residuals when the row's block is left out of the fit.
     pub held_out: Vec<Option<Vector6<f64>>>,
-    /// The covariance of the unknowns, by the scatter of the fits without one block each; NaN of fewer than two.
+    /// The covariance of the unknowns, by the scatter of the fits without one block each; NaN of fewer than two, and
+    /// where an unknown hangs on a single block.
     pub covariance: DMatrix<f64>,
     /// The number of blocks.
     pub blocks: usize,
@@ -160,7 +161,9 @@ fn without_blocks<M: PoseModel>(
         moves.push(without.total + ahead);
     }
     let count = moves.len() as f64;
-    let mut covariance = DMatrix::from_element(n, n, if moves.len() < 2 { f64::NAN } else { 0.0 });
+    // Without the block that moves them most, the others would seem to agree on what they leave open.
+    let is_known = moves.len() >= 2 && moves.len() == rows_of_block.len();
+    let mut covariance = DMatrix::from_element(n, n, if is_known { 0.0 } else { f64::NAN });
     // Efron & Stein 1981: (B - 1) / B times the sum of squares.
     let mean = moves.iter().fold(DVector::zeros(n), |sum, moved| sum + moved) / count.max(1.0);
     for moved in &moves {
