@@ -75,7 +75,9 @@ pub fn held_out(
     }
     let degrees_of_freedom = 2 * total.n_observations - 6 * total.n_frames;
     let in_sample = in_sample(&kept, calibration);
-    let noise = calibration.uncertainty.noise_factor;
+    // Of squares, as the errors are: with a robust loss the calibration's own noise factor is of that.
+    let freedom = calibration.uncertainty.degrees_of_freedom.max(1) as f64;
+    let noise = (judge(&kept, &calibration.scene).chi2 / freedom).sqrt();
     let per_freedom = 2.0 / degrees_of_freedom as f64;
     let camera_rms = |(camera, (sum, n)): (&CameraId, &(f64, usize))| {
         let name = dataset.cameras.get(*camera).map_or_else(String::new, |camera| camera.name.clone());
