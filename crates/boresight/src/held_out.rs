@@ -165,10 +165,22 @@ fn judge_fold(
         Err(error) => return Err(error.into()),
     };
     scene.rig_from_target = full.rig_from_target.clone();
-    let placed = place_frames(&tested, &scene, options)?;
+    let Some(placed) = unless_unseen(place_frames(&tested, &scene, options))? else {
+        return Ok(Sums::default());
+    };
     let mut sums = judge(&tested, &placed);
-    sums.transfer = transfer(&tested, &scene, options)?;
+    sums.transfer = unless_unseen(transfer(&tested, &scene, options))?.unwrap_or_default();
     Ok(sums)
+}
+
+/// Returns `None` in place of the errors of frames that the others' lenses do not see whole, or of too few corners to be
+/// placed: they are untested, and the calibration of all frames stands.
+fn unless_unseen<T>(found: Result<T, Error>) -> Result<Option<T>, Error> {
+    use boresight_adjust::Error as Of;
+    match found {
+        Err(Error::Adjust(Of::SeedOutOfView { .. } | Of::TooFewEquations { .. })) => Ok(None),
+        found => found.map(Some),
+    }
 }
 
 /// Returns the scene with the frames of `dataset` where its corners say, all else as it is.
