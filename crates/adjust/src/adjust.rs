@@ -240,10 +240,12 @@ impl Passes<'_> {
                 kept = Some(judged);
             }
             // What is judged again need not be exact before it stands.
-            is_exact |= stands || pass + 1 == MAX_PASSES;
+            let is_first_exact = !is_exact && (stands || pass + 1 == MAX_PASSES);
+            is_exact |= is_first_exact;
             if is_exact {
                 let decrease_below = self.options.decrease_below;
-                let exact = solve_options(self.options, decrease_below, pass + 1 == MAX_PASSES);
+                // The first is the long one; those after it are other problems, which its file must not be read for.
+                let exact = solve_options(self.options, decrease_below, is_first_exact);
                 let slow_end = SlowEnd::Learn;
                 self.solve(rig, &SolveOptions { first_damping: WARM_DAMPING, slow_end, ..exact })?;
             } else {
@@ -278,8 +280,8 @@ impl Passes<'_> {
     }
 }
 
-/// Returns the options of one solve; only the last pass is worth a checkpoint.
-pub(crate) fn solve_options(options: &AdjustOptions, decrease_below: f64, is_last: bool) -> SolveOptions {
+/// Returns the options of one solve; only the first that is exact is worth a checkpoint.
+pub(crate) fn solve_options(options: &AdjustOptions, decrease_below: f64, is_long: bool) -> SolveOptions {
     SolveOptions {
         decrease_below,
         max_iterations: options.max_iterations,
@@ -287,7 +289,7 @@ pub(crate) fn solve_options(options: &AdjustOptions, decrease_below: f64, is_las
         threads: options.threads,
         time_limit: options.time_limit,
         cancel: options.cancel.clone(),
-        checkpoint: options.checkpoint.clone().filter(|_| is_last),
+        checkpoint: options.checkpoint.clone().filter(|_| is_long),
         ..SolveOptions::default()
     }
 }

@@ -43,7 +43,7 @@ pub struct AdjustOptions {
     pub time_limit: Option<Duration>,
     /// Stop when this becomes true; `None` cannot be stopped.
     pub cancel: Option<Arc<AtomicBool>>,
-    /// Keep the state of the last pass in a file and resume from it; `None` does neither.
+    /// Keep the state of the first exact pass in a file and resume from it; `None` does neither.
     pub checkpoint: Option<Checkpointing>,
 }
 
