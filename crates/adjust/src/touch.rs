@@ -177,6 +177,14 @@ pub enum TouchError {
         /// The model.
         model: PlaneModel,
     },
+    /// The plane cannot be found with a lens that is hardly another.
+    #[error(
+        "with the lens's {parameter} moved by a tenth of its sigma, the touches do not determine the plane"
+    )]
+    LensUnsteady {
+        /// The parameter.
+        parameter: &'static str,
+    },
     /// Nothing tells how well the plane is known.
     #[error("{touches} touches leave no degree of freedom to estimate their sigma from")]
     NoSigma {
@@ -570,7 +578,7 @@ impl<'a> Setup<'a> {
             covariance: Vec::new(),
         };
         plane.camera_in_base_m = self.camera_in_base(model, &plane);
-        let joint = self.with_lens(model, &plane, own);
+        let joint = self.with_lens(model, &plane, own)?;
         plane.covariance = joint.transpose().iter().copied().collect();
         let touches = self.touches.iter().zip(errors).zip(left_out);
         let touches = touches
@@ -603,12 +611,17 @@ impl<'a> Setup<'a> {
     }
 
     /// Returns the joint covariance of map, plane and lens: the fit moves with the lens it was made with.
-    fn with_lens(&self, model: PlaneModel, plane: &RobotPlane, own: DMatrix<f64>) -> DMatrix<f64> {
-        let Some(lens) = self.lens.filter(|_| model.needs_lens()) else { return own };
+    fn with_lens(
+        &self,
+        model: PlaneModel,
+        plane: &RobotPlane,
+        own: DMatrix<f64>,
+    ) -> Result<DMatrix<f64>, TouchError> {
+        let Some(lens) = self.lens.filter(|_| model.needs_lens()) else { return Ok(own) };
         let (n, m) = (own.nrows(), lens.camera.params.len());
         let mut joint = DMatrix::zeros(n + m, n + m);
         joint.view_mut((0, 0), (n, n)).copy_from(&own);
-        let Some(covariance) = lens.covariance else { return joint };
+        let Some(covariance) = lens.covariance else { return Ok(joint) };
         let mut gain = DMatrix::zeros(n, m);
         for i in 0..m {
             let sigma = covariance[(i, i)].max(0.0).sqrt();
@@ -618,10 +631,12 @@ impl<'a> Setup<'a> {
             // Differences over a tenth of a sigma: the fit is all but linear there.
             let step = 0.1 * sigma;
             let moved = [1.0, -1.0].map(|sign| self.refitted(model, plane, lens, i, sign * step));
-            if let [Some(up), Some(down)] = moved {
-                for row in 0..n {
-                    gain[(row, i)] = (up[row] - down[row]) / (2.0 * step);
-                }
+            // A plane that stays as it is would hide what the lens brings to its uncertainty.
+            let [Some(up), Some(down)] = moved else {
+                return Err(TouchError::LensUnsteady { parameter: lens.camera.model.param_names()[i] });
+            };
+            for row in 0..n {
+                gain[(row, i)] = (up[row] - down[row]) / (2.0 * step);
             }
         }
         let cross = &gain * covariance;
@@ -629,7 +644,7 @@ impl<'a> Setup<'a> {
         joint.view_mut((0, n), (n, m)).copy_from(&cross);
         joint.view_mut((n, 0), (m, n)).copy_from(&cross.transpose());
         joint.view_mut((n, n), (m, m)).copy_from(covariance);
-        joint
+        Ok(joint)
     }
 
     /// Returns by how much the columns of map and plane move when a lens parameter does.
