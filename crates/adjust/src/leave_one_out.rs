@@ -80,9 +80,15 @@ pub fn sight_errors(dataset: &Dataset, scene: &Scene, view: &View, rig_from_targ
     let mut errors = SightErrors::default();
     let Some(camera) = &scene.rig.cameras[view.camera] else { return errors };
     let (target, belief) = (&dataset.targets[view.target], &scene.targets[view.target]);
-    let cam_from_target = camera.cam_from_rig * *rig_from_target * belief.first_from_target;
-    let normal = is_flat(&target.geometry).then(|| cam_from_target.rotation * Vector3::z());
+    let motion = scene.motion.get(view.frame).copied().flatten();
+    let flat = is_flat(&target.geometry);
     for observation in &view.observations {
+        // As the camera took the row.
+        let late_s = camera.late_s(observation.pixel[1]);
+        let moved =
+            motion.filter(|_| late_s != 0.0).map_or_else(Pose::identity, |motion| motion.after(late_s));
+        let cam_from_target = camera.cam_from_rig * moved * *rig_from_target * belief.first_from_target;
+        let normal = flat.then(|| cam_from_target.rotation * Vector3::z());
         let point_in_cam = cam_from_target * target.point(observation.point, &belief.shape_m);
         let distance_m = camera.camera.unproject(observation.pixel).map_or(f64::INFINITY, |ray| {
             let foot = match normal.map(|normal| (normal.dot(&point_in_cam), normal.dot(&ray))) {
