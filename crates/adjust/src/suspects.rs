@@ -62,7 +62,7 @@ pub(crate) fn suspects(
         let limit = (sigmas * scales[camera]).max(crate::rejection::ROUNDING_SIGMAS);
         let n_beyond = lengths.iter().filter(|length| **length > limit).count();
         if n_beyond as f64 > SUSPECT_SHARE * lengths.len() as f64 {
-            suspect.insert(*view_idx, (term_idx, sigmas * scales[camera]));
+            suspect.insert(*view_idx, (term_idx, limit));
         }
     }
     let mut by_camera: Vec<Vec<(usize, Evidence)>> = dataset.cameras.iter().map(|_| Vec::new()).collect();

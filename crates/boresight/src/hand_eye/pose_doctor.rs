@@ -13,6 +13,9 @@ use crate::options::CalibrateOptions;
 /// How many times better another reading must fit to be told as a finding.
 const BETTER_READING: f64 = 3.0;
 
+/// An error below this is rounding, in metres, and no reading is better than another by it.
+const EXACT_M: f64 = 1e-9;
+
 /// The readings of a table of poses.
 #[derive(Clone, Debug)]
 pub struct PoseReadings {
@@ -86,7 +89,7 @@ fn finding(
             alike.map_or(f64::INFINITY, |reading| reading.held_out_m)
         }
     };
-    let ratio = of_stated / best.held_out_m;
+    let ratio = of_stated.max(EXACT_M) / best.held_out_m.max(EXACT_M);
     if ratio < BETTER_READING {
         return None;
     }
