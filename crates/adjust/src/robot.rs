@@ -204,8 +204,9 @@ impl RobotPart {
             )
         };
         for (id, frame) in dataset.frames.enumerate() {
-            let said = self.arms[id].map(|block| values.pose(block)).or(frame.base_from_flange);
-            if let Some(base_from_flange) = said {
+            // Where no camera saw the target there is no true pose but what the map makes of the robot's word.
+            let said = frame.base_from_flange.map(|said| now.map_or(said, |map| map.corrected(&said)));
+            if let Some(base_from_flange) = self.arms[id].map(|block| values.pose(block)).or(said) {
                 scene.rig_from_target[id] = Some(robot.rig_from_target(&base_from_flange));
             }
         }
