@@ -19,12 +19,14 @@ const TOLERANCE: f64 = 1e-4;
 
 /// Returns the corners of a dataset as a table `camera,image,view,point,u,v,sigma_px`, as it is read.
 ///
-/// Pixels and sigmas are rounded to 1e-6 pixels.
+/// Pixels and sigmas are rounded to 1e-6 pixels. A name with a comma is quoted.
 pub fn corners_to_csv(dataset: &Dataset) -> String {
     let mut text = String::from("camera,image,view,point,u,v,sigma_px\n");
     for view in &dataset.views {
-        let (camera, frame) = (&dataset.cameras[view.camera].name, &dataset.frames[view.frame].name);
-        let image = view.image.as_deref().unwrap_or_default();
+        let quoted = |name: &str| if name.contains(',') { format!("\"{name}\"") } else { name.to_owned() };
+        let camera = quoted(&dataset.cameras[view.camera].name);
+        let frame = quoted(&dataset.frames[view.frame].name);
+        let image = quoted(view.image.as_deref().unwrap_or_default());
         for Observation { point, pixel: [u, v], sigma_px } in &view.observations {
             text.push_str(&format!("{camera},{image},{frame},{point},{u:.6},{v:.6},{sigma_px:.6}\n"));
         }
