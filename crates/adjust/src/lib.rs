@@ -49,5 +49,5 @@ pub use time_offset::{
 };
 pub use touch::{
     Heights, PlaneFunction, Position, TipKnowledge, Touch, TouchError, TouchFit, TouchLens, TouchOptions,
-    TouchedPlane, TriedModel, plane_columns, plane_position, plane_spread, touched_plane,
+    TouchedPlane, TriedModel, contradiction, plane_columns, plane_position, plane_spread, touched_plane,
 };

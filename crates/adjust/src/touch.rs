@@ -684,6 +684,6 @@ impl<'a> Setup<'a> {
 }
 
 /// Returns the noise factor beyond which residuals contradict the stated sigmas: three sigmas of its own.
-pub(crate) fn contradiction(degrees_of_freedom: usize) -> f64 {
+pub fn contradiction(degrees_of_freedom: usize) -> f64 {
     1.0 + 3.0 / (2.0 * degrees_of_freedom as f64).sqrt()
 }

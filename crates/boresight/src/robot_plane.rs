@@ -1,8 +1,8 @@
 //! From touched points to a robot's plane, and from the plane to the pose of an object: Eqs 8.23 to 8.30.
 
 use boresight_adjust::{
-    Heights, TipKnowledge, Touch, TouchLens, TouchOptions, TouchedPlane, plane_position, plane_spread,
-    touched_plane,
+    Heights, TipKnowledge, Touch, TouchLens, TouchOptions, TouchedPlane, contradiction, plane_position,
+    plane_spread, touched_plane,
 };
 use boresight_camera::Camera;
 use boresight_camera::textbook::robot_plane::{
@@ -212,7 +212,7 @@ fn findings(touched: &TouchedPlane, options: &TouchOptions) -> Vec<Finding> {
         );
     }
     if let (Some(_), Some(factor)) = (options.sigma_touch_m, touched.noise_factor) {
-        let most = 1.0 + 3.0 / (2.0 * touched.degrees_of_freedom as f64).sqrt();
+        let most = contradiction(touched.degrees_of_freedom);
         if factor > most {
             let message = format!(
                 "the residuals are {factor:.1} times what the stated sigmas explain; the covariance was widened by it"
