@@ -128,7 +128,10 @@ pub(crate) fn look(
     let start = times.calibration.as_ref().map_or(&held.scene, |calibration| &calibration.scene);
     let offsets_alone: Vec<Clock> =
         others.iter().filter(|clock| matches!(clock, Clock::Offset(_))).copied().collect();
-    for looked_for in [&others, &offsets_alone].into_iter().filter(|clocks| !clocks.is_empty()) {
+    let mut attempts = vec![&others, &offsets_alone];
+    // Without line delays both are the same, and so would be what comes of them.
+    attempts.dedup();
+    for looked_for in attempts.into_iter().filter(|clocks| !clocks.is_empty()) {
         let wanted = [&times.clocks[..], looked_for].concat();
         // Who did not ask has a calibration, whatever becomes of looking.
         let Ok(Some(timed)) = adjust_times(dataset, seed, start, &wanted, &options) else { continue };
