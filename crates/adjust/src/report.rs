@@ -46,12 +46,15 @@ impl Outcome {
     /// Returns how the search went, with the cost that it led to.
     pub(crate) fn record(&self, chi2: f64) -> SolveRecord {
         let stop = self.stop.unwrap_or(Stop::NotStarted);
+        // Where it ended is an optimum, but of a set of outliers that may not be the one it asks for.
+        let is_open = stop.is_converged() && self.kept.is_some() && !self.settled;
+        let open = if is_open { "; which corners are outliers still changes from pass to pass" } else { "" };
         SolveRecord {
             chi2,
             iterations: self.iterations,
             evaluations: self.evaluations,
             passes: self.passes,
-            stop: stop.to_string(),
+            stop: format!("{stop}{open}"),
             converged: stop.is_converged(),
         }
     }
