@@ -199,7 +199,7 @@ pub(crate) fn is_noncentral(model: Model) -> bool {
 }
 
 /// Returns the lenses that the job knows, by the dataset's cameras.
-fn known_lenses(job: &Job, dataset: &Dataset) -> Vec<(CameraId, Camera)> {
+pub(crate) fn known_lenses(job: &Job, dataset: &Dataset) -> Vec<(CameraId, Camera)> {
     let known = job.known_lenses.iter().filter_map(|(name, lens)| {
         let (id, _) = dataset.cameras.enumerate().find(|(_, info)| info.name == *name)?;
         Some((id, lens.clone()))

@@ -68,6 +68,14 @@ const OF_INPUT: &[(&str, &str)] = &[
          How to fix it: compare the file with its source and copy it again; a newline at its end silences this.",
     ),
     (
+        crate::doctor::NO_START,
+        "What it means: lenses and poses could not even be estimated roughly, in closed form, from the views there are.\n\
+         The message says what is missing.\n\n\
+         Why it matters: a calibration begins with that estimate, so it would end with the same message.\n\n\
+         How to fix it: take more views of a board that is tilted by 20 to 45 degrees to either side. Where there are\n\
+         plenty, the board is another than declared: count inner corners, and check that rows and columns are not exchanged.",
+    ),
+    (
         "pixels-outside-image",
         "What it means: some corners lie outside the image by more than a tenth of its size.\n\n\
          Why it matters: corners are detected inside the image, so image_size, or the camera that the corners\n\

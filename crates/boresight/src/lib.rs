@@ -21,6 +21,7 @@ mod choices;
 mod convert;
 mod cross_validation;
 mod demo;
+mod doctor;
 mod error;
 mod explain;
 mod hand_eye;
@@ -79,6 +80,7 @@ pub use boresight_validate::{
 
 pub use beliefs::HoldChoice;
 pub use boresight_seed::{Converted, ImpliedRotation, triangle_from_sides};
+pub use boresight_validate::{CameraLook, Looks, WeakestLink};
 pub use calibrate::{Outcome, Watch, calibrate, with_threads};
 pub use choices::{
     BadChoice, HoldoutChoice, LensChoice, LensModel, LossChoice, RegularizationChoice, RejectChoice,
@@ -87,6 +89,7 @@ pub use choices::{
 pub use convert::{ConvertedCamera, convert_lenses};
 pub use cross_validation::{compared, cross_validate};
 pub use demo::{Demo, Recovered, Recovery, demo, recovery};
+pub use doctor::{Examination, examine};
 pub use error::{Error, ErrorKind};
 pub use explain::{codes, explain};
 pub use hand_eye::{

@@ -9,6 +9,7 @@ use boresight::{
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::demo::DemoArguments;
+use crate::doctor::DoctorArguments;
 use crate::init::InitArguments;
 use crate::inputs::{CameraImages, ClockChoice, ImageSize, Time};
 use crate::robot::RobotCommand;
@@ -32,6 +33,8 @@ pub(crate) enum Command {
     Calibrate(CalibrateArguments),
     /// Detect a target in images: corners as a table, and overlays to look at
     Detect(DetectArguments),
+    /// Tell what is wrong with images, a recording or corners, before any solve
+    Doctor(DoctorArguments),
     /// Look at images, a recording or corners, and write a job file that says what the command line says
     Init(InitArguments),
     /// Make targets

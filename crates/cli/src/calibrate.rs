@@ -18,7 +18,7 @@ use crate::streams::{answer, note};
 use crate::{inputs, progress, summary};
 
 /// The file, within the output's folder, in which detections are remembered.
-const DETECTIONS_FILE: &str = "detections.json";
+pub(crate) const DETECTIONS_FILE: &str = "detections.json";
 
 /// Calibrates, writes, and prints the summary or the calibration.
 pub(crate) fn run(arguments: &CalibrateArguments) -> Result<ExitCode, Failure> {
@@ -127,18 +127,31 @@ fn quoted(path: &Path) -> String {
 
 /// Tells the findings on stderr: what, where, and what to do.
 pub(crate) fn tell_findings(findings: &[Finding]) {
+    let text = describe_findings(findings);
+    if !text.is_empty() {
+        note(&text);
+    }
+}
+
+/// Returns the findings in words: what, where, and what to do.
+pub(crate) fn describe_findings(findings: &[Finding]) -> String {
+    let mut text = String::new();
     for finding in findings {
         let word = match finding.severity {
             Severity::Note => "note",
             Severity::Caution => "caution",
             Severity::Fail => "fail",
         };
-        note(&format!("{word}[{}]: {}: {}", finding.code, finding.place, finding.message));
-        note(&format!("  fix: {}", finding.fix));
+        text.push_str(&format!("{word}[{}]: {}: {}\n", finding.code, finding.place, finding.message));
+        text.push_str(&format!("  fix: {}\n", finding.fix));
     }
     if !findings.is_empty() {
-        note(&format!("{}; `boresight explain CODE` tells more\n", count(findings.len(), "finding")));
+        text.push_str(&format!(
+            "{}; `boresight explain CODE` tells more\n",
+            count(findings.len(), "finding")
+        ));
     }
+    text
 }
 
 #[cfg(test)]

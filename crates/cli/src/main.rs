@@ -11,6 +11,7 @@ mod compare;
 mod convert;
 mod demo;
 mod detect;
+mod doctor;
 mod explain;
 mod export;
 mod failure;
@@ -51,6 +52,7 @@ fn run(command: Command) -> Result<ExitCode, Failure> {
     match command {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Detect(arguments) => detect::run(&arguments),
+        Command::Doctor(arguments) => doctor::run(&arguments),
         Command::Init(arguments) => init::run(&arguments),
         Command::Target { command } => target::run(&command),
         Command::Demo(arguments) => demo::run(&arguments),

@@ -9,6 +9,7 @@
 
 mod bad_view;
 mod biased_residuals;
+mod blurred_images;
 mod bow;
 mod case;
 mod coverage;
@@ -21,6 +22,7 @@ mod large_rms;
 mod left_out;
 mod little_tilt;
 mod many_rejected;
+mod mirrored_corners;
 mod near_identical_frames;
 mod no_covariance;
 mod not_converged;
@@ -28,13 +30,19 @@ mod not_monotonic;
 mod not_separable;
 mod registry;
 mod regularization_pull;
+mod small_board;
 mod uncertain_focal;
 mod unseen_rim;
 mod weak_rig_link;
 
 use boresight_data::{Calibration, Dataset, Finding, Severity};
 
-use case::Case;
+pub(crate) use blurred_images::middle_sigma_px;
+pub(crate) use case::Case;
+pub(crate) use coverage::coverage;
+pub(crate) use little_tilt::spread_of_normals as tilt_spread_rad;
+pub(crate) use small_board::largest_board;
+pub(crate) use weak_rig_link::weakest_link;
 
 /// A kind of finding.
 trait Diagnostic {
@@ -67,7 +75,16 @@ struct Found {
 /// Returns what is doubtful about `calibration`, which was made from `dataset`: gravest first, then
 /// by code and place.
 pub fn findings(dataset: &Dataset, calibration: &Calibration) -> Vec<Finding> {
-    let mut findings = registry::find_all(&Case::new(dataset, calibration));
+    sorted(registry::find_all(&Case::new(dataset, calibration)))
+}
+
+/// Returns what is doubtful about `dataset` before any solve, in the order of [`findings`]. `start` holds what a start
+/// can tell: lenses and poses, with residuals for each view that it could use.
+pub fn findings_before(dataset: &Dataset, start: &Calibration) -> Vec<Finding> {
+    sorted(registry::find_before(&Case::new(dataset, start)))
+}
+
+fn sorted(mut findings: Vec<Finding>) -> Vec<Finding> {
     findings.sort_by(|one, other| {
         let key = |finding: &Finding| (std::cmp::Reverse(finding.severity), finding.code.clone());
         (key(one).cmp(&key(other)))

@@ -15,6 +15,7 @@
 mod compare;
 mod error;
 mod findings;
+mod looks;
 mod slopes;
 mod statistics;
 mod uncertainty;
@@ -25,7 +26,8 @@ pub use compare::{
     RigComparison, Significance, TransferDifference, compare, compare_known_rigs, compare_rigs,
 };
 pub use error::Error;
-pub use findings::{codes, explain, findings};
+pub use findings::{codes, explain, findings, findings_before};
+pub use looks::{CameraLook, Looks, WeakestLink, looks};
 pub use uncertainty::{
     AtDistance, Method, ProjectionUncertainty, Propagation, Spread, StereoUncertainty, UncertaintyMap,
     stereo_uncertainty,

@@ -9,9 +9,9 @@ use boresight_data::{
 use boresight_geometry::{Matrix3, Pose, Vector3};
 
 /// A dataset and the calibration made from it. Look-ups of what is missing return `None`.
-pub(super) struct Case<'a> {
-    pub(super) dataset: &'a Dataset,
-    pub(super) calibration: &'a Calibration,
+pub(crate) struct Case<'a> {
+    pub(crate) dataset: &'a Dataset,
+    pub(crate) calibration: &'a Calibration,
     /// The observations that are not used, for whatever reason.
     rejected: BTreeSet<(usize, PointId)>,
     /// For each view, the number of outliers.
@@ -20,14 +20,14 @@ pub(super) struct Case<'a> {
 
 /// A view that took part in the solve.
 #[derive(Clone, Copy)]
-pub(super) struct UsedView<'a> {
-    pub(super) index: usize,
-    pub(super) view: &'a View,
-    pub(super) fit: &'a ViewFit,
+pub(crate) struct UsedView<'a> {
+    pub(crate) index: usize,
+    pub(crate) view: &'a View,
+    pub(crate) fit: &'a ViewFit,
 }
 
 impl<'a> Case<'a> {
-    pub(super) fn new(dataset: &'a Dataset, calibration: &'a Calibration) -> Self {
+    pub(crate) fn new(dataset: &'a Dataset, calibration: &'a Calibration) -> Self {
         let mut outliers = vec![0; dataset.views.len()];
         let mut rejected = BTreeSet::new();
         for rejection in &calibration.rejected {
@@ -42,7 +42,7 @@ impl<'a> Case<'a> {
     }
 
     /// Returns the calibrated cameras with their names.
-    pub(super) fn cameras(&self) -> impl Iterator<Item = (CameraId, &'a str, &'a RigCamera)> {
+    pub(crate) fn cameras(&self) -> impl Iterator<Item = (CameraId, &'a str, &'a RigCamera)> {
         let cameras = self.calibration.scene.rig.cameras.enumerate();
         cameras.filter_map(|(id, camera)| {
             Some((id, self.dataset.cameras.get(id)?.name.as_str(), camera.as_ref()?))
@@ -50,12 +50,12 @@ impl<'a> Case<'a> {
     }
 
     /// Returns the fit of a camera.
-    pub(super) fn camera_fit(&self, camera: CameraId) -> Option<&'a CameraFit> {
+    pub(crate) fn camera_fit(&self, camera: CameraId) -> Option<&'a CameraFit> {
         self.calibration.cameras.get(camera)
     }
 
     /// Tells whether the lens was given and not estimated. Without a covariance there is no telling, and it is not.
-    pub(super) fn lens_is_held(&self, camera: &str) -> bool {
+    pub(crate) fn lens_is_held(&self, camera: &str) -> bool {
         let names = &self.calibration.uncertainty.names;
         let is_of_lens = |name: &String| {
             let param = name.strip_prefix(camera).and_then(|rest| rest.strip_prefix('.'));
@@ -65,14 +65,14 @@ impl<'a> Case<'a> {
     }
 
     /// Returns the sigma of a parameter, or `None` where there is none.
-    pub(super) fn sigma(&self, parameter: &str) -> Option<f64> {
+    pub(crate) fn sigma(&self, parameter: &str) -> Option<f64> {
         let uncertainty = &self.calibration.uncertainty;
         let i = uncertainty.names.iter().position(|name| name == parameter)?;
         uncertainty.covariance.get(i * uncertainty.names.len() + i).map(|variance| variance.sqrt())
     }
 
     /// Returns the views that took part in the solve.
-    pub(super) fn used_views(&self) -> impl Iterator<Item = UsedView<'a>> {
+    pub(crate) fn used_views(&self) -> impl Iterator<Item = UsedView<'a>> {
         let views = self.dataset.views.iter().zip(&self.calibration.views).enumerate();
         views.filter(|(_, (_, fit))| !fit.residuals_px.is_empty()).map(|(index, (view, fit))| UsedView {
             index,
@@ -82,43 +82,43 @@ impl<'a> Case<'a> {
     }
 
     /// Returns the views of a camera that took part in the solve.
-    pub(super) fn used_views_of(&self, camera: CameraId) -> impl Iterator<Item = UsedView<'a>> {
+    pub(crate) fn used_views_of(&self, camera: CameraId) -> impl Iterator<Item = UsedView<'a>> {
         self.used_views().filter(move |used| used.view.camera == camera)
     }
 
     /// Returns the observations of a view that are not rejected.
-    pub(super) fn kept(&self, used: UsedView<'a>) -> impl Iterator<Item = &'a Observation> {
+    pub(crate) fn kept(&self, used: UsedView<'a>) -> impl Iterator<Item = &'a Observation> {
         let observations = used.view.observations.iter();
         observations.filter(move |observation| !self.rejected.contains(&(used.index, observation.point)))
     }
 
     /// Returns the number of outliers in a view.
-    pub(super) fn outliers_in(&self, view_idx: usize) -> usize {
+    pub(crate) fn outliers_in(&self, view_idx: usize) -> usize {
         self.outliers.get(view_idx).copied().unwrap_or(0)
     }
 
     /// Returns what a person calls a view: its image, or else its camera and frame.
-    pub(super) fn view_name(&self, view: &View) -> String {
+    pub(crate) fn view_name(&self, view: &View) -> String {
         let camera = self.dataset.cameras.get(view.camera).map_or("?", |camera| camera.name.as_str());
         let frame = self.dataset.frames.get(view.frame).map_or("?", |frame| frame.name.as_str());
         view.image.clone().unwrap_or_else(|| format!("{camera}, frame {frame}"))
     }
 
     /// Returns where a view's target stood in front of its camera, as believed.
-    pub(super) fn cam_from_target(&self, view: &View) -> Option<Pose> {
+    pub(crate) fn cam_from_target(&self, view: &View) -> Option<Pose> {
         let scene = &self.calibration.scene;
         let first_from_target = scene.targets.get(view.target)?.first_from_target;
         Some(scene.cam_from_first(view.camera, view.frame)? * first_from_target)
     }
 
     /// Returns the target of a view.
-    pub(super) fn target(&self, view: &View) -> Option<&'a Target> {
+    pub(crate) fn target(&self, view: &View) -> Option<&'a Target> {
         self.dataset.targets.get(view.target)
     }
 }
 
 /// Returns the normal of a flat target in its own frame, or `None` if its points do not lie in a plane.
-pub(super) fn normal_in_target(target: &Target) -> Option<Vector3<f64>> {
+pub(crate) fn normal_in_target(target: &Target) -> Option<Vector3<f64>> {
     let points_m = match &target.geometry {
         Geometry::Points { points_m } => points_m,
         _ => return Some(Vector3::z()),

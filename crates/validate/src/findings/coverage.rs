@@ -1,7 +1,7 @@
 //! A part of the image in which nothing was seen.
 
 use boresight_camera::Camera;
-use boresight_data::Severity;
+use boresight_data::{CameraId, Severity};
 
 use super::case::Case;
 #[cfg(test)]
@@ -47,10 +47,7 @@ accepted.";
     fn find(case: &Case) -> Vec<Found> {
         let estimated = case.cameras().filter(|(_, name, _)| !case.lens_is_held(name));
         let found = estimated.filter_map(|(id, name, placed)| {
-            let mut cells = Cells::new(&placed.camera);
-            for used in case.used_views_of(id) {
-                case.kept(used).for_each(|observation| cells.see(observation.pixel));
-            }
+            let cells = seen_by(case, id, &placed.camera);
             let share = cells.share()?;
             if share >= CAUTION_BELOW {
                 return None;
@@ -83,6 +80,21 @@ accepted.";
         example.refit();
         vec![(example, Severity::Caution)]
     }
+}
+
+/// Returns the share of the image in which a camera saw corners, or `None` without a lens.
+pub(crate) fn coverage(case: &Case, camera: CameraId) -> Option<f64> {
+    let placed = case.calibration.scene.rig.cameras.get(camera)?.as_ref()?;
+    seen_by(case, camera, &placed.camera).share()
+}
+
+/// Returns the cells in which a camera saw corners.
+fn seen_by(case: &Case, id: CameraId, lens: &Camera) -> Cells {
+    let mut cells = Cells::new(lens);
+    for used in case.used_views_of(id) {
+        case.kept(used).for_each(|observation| cells.see(observation.pixel));
+    }
+    cells
 }
 
 /// Which cells of the image were seen.

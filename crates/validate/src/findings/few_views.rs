@@ -54,7 +54,7 @@ into every corner. If views were left out, find out why first.";
                 Some(Found {
                     severity,
                     place: name.to_owned(),
-                    message: format!("only {} of this camera took part in the solve", count(n_views, "view")),
+                    message: format!("only {} of this camera can be used", count(n_views, "view")),
                     measured: Some(n_views as f64),
                     limit: Some(limit as f64),
                     fix: "Take 20 or more views that differ in tilt, roll, distance and place in the image."

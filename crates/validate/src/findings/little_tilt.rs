@@ -61,7 +61,7 @@ hold the focal length at a known value.";
 
 /// Returns the largest angle in radians between the normals of any two boards that a camera saw, or
 /// `None` if it saw fewer than two, or a target that is not flat.
-fn spread_of_normals(case: &Case, camera: CameraId) -> Option<f64> {
+pub(crate) fn spread_of_normals(case: &Case, camera: CameraId) -> Option<f64> {
     let mut normals: Vec<Vector3<f64>> = Vec::new();
     for used in case.used_views_of(camera) {
         let normal = normal_in_target(case.target(used.view)?)?;

@@ -6,46 +6,71 @@ use super::case::Case;
 use super::{Diagnostic, Found};
 
 macro_rules! diagnostics {
-    ($($diagnostic:ty),* $(,)?) => {
+    (
+        at any time: $($any:ty),* $(,)?;
+        before a solve: $($before:ty),* $(,)?;
+        after a solve: $($after:ty),* $(,)?;
+    ) => {
         /// Each code with its long text.
         pub(super) const ALL: &[(&str, &str)] =
-            &[$((<$diagnostic as Diagnostic>::CODE, <$diagnostic as Diagnostic>::EXPLANATION)),*];
+            &[
+                $((<$any as Diagnostic>::CODE, <$any as Diagnostic>::EXPLANATION),)*
+                $((<$before as Diagnostic>::CODE, <$before as Diagnostic>::EXPLANATION),)*
+                $((<$after as Diagnostic>::CODE, <$after as Diagnostic>::EXPLANATION),)*
+            ];
 
-        /// Returns the findings of all kinds.
+        /// Returns the findings about a result.
         pub(super) fn find_all(case: &Case) -> Vec<Finding> {
             let mut findings = Vec::new();
-            $(findings.extend(find::<$diagnostic>(case));)*
+            $(findings.extend(find::<$any>(case));)*
+            $(findings.extend(find::<$after>(case));)*
+            findings
+        }
+
+        /// Returns the findings about data of which there is no more than a start.
+        pub(super) fn find_before(case: &Case) -> Vec<Finding> {
+            let mut findings = Vec::new();
+            $(findings.extend(find::<$any>(case));)*
+            $(findings.extend(find::<$before>(case));)*
             findings
         }
 
         #[cfg(test)]
         fn check_each() {
-            $(tests::check::<$diagnostic>();)*
+            $(tests::check::<$any>();)*
+            $(tests::check::<$before>();)*
+            $(tests::check::<$after>();)*
         }
     };
 }
 
 diagnostics! {
-    super::bad_view::BadView,
-    super::biased_residuals::BiasedResiduals,
-    super::bow::Bow,
+    at any time:
     super::coverage::Coverage,
     super::duplicate_points::DuplicatePoints,
     super::few_views::FewViews,
-    super::held_out::HeldOut,
-    super::large_rms::LargeRms,
     super::left_out::LeftOut,
     super::little_tilt::LittleTilt,
-    super::many_rejected::ManyRejected,
     super::near_identical_frames::NearIdenticalFrames,
+    super::unseen_rim::UnseenRim,
+    super::weak_rig_link::WeakRigLink;
+    before a solve:
+    super::blurred_images::BlurredImages,
+    super::mirrored_corners::MirroredCorners,
+    super::small_board::SmallBoard;
+    after a solve:
+    super::bad_view::BadView,
+    super::biased_residuals::BiasedResiduals,
+    super::bow::Bow,
+    super::held_out::HeldOut,
+    super::large_rms::LargeRms,
+    super::many_rejected::ManyRejected,
     super::no_covariance::NoCovariance,
     super::not_converged::NotConverged,
     super::not_monotonic::NotMonotonic,
     super::not_separable::NotSeparable,
     super::regularization_pull::RegularizationPull,
-    super::uncertain_focal::UncertainFocal,
-    super::unseen_rim::UnseenRim,
-    super::weak_rig_link::WeakRigLink,
+    super::uncertain_focal::UncertainFocal;
 }
 
 fn find<D: Diagnostic>(case: &Case) -> impl Iterator<Item = Finding> {

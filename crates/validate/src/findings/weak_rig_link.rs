@@ -37,21 +37,7 @@ its neighbours.";
 
     fn find(case: &Case) -> Vec<Found> {
         let cameras: Vec<(CameraId, &str)> = case.cameras().map(|(id, name, _)| (id, name)).collect();
-        if cameras.len() < 2 {
-            return Vec::new();
-        }
-        let mut seen_by: BTreeMap<FrameId, BTreeSet<CameraId>> = BTreeMap::new();
-        for used in case.used_views().filter(|used| used.fit.rms_px.is_some()) {
-            seen_by.entry(used.view.frame).or_default().insert(used.view.camera);
-        }
-        let tree = strongest_tree(&cameras, &seen_by);
-        let weak = (0..tree.len()).filter_map(|link| {
-            let side = smaller_side(&cameras, &tree, link);
-            let is_shared = |cameras: &&BTreeSet<CameraId>| {
-                cameras.iter().any(|camera| side.contains(camera))
-                    && !cameras.iter().all(|camera| side.contains(camera))
-            };
-            let n_shared = seen_by.values().filter(is_shared).count();
+        let weak = gaps(case, &cameras).into_iter().filter_map(|(side, n_shared)| {
             (n_shared < CAUTION_BELOW).then(|| {
                 let names = cameras.iter().filter(|(id, _)| side.contains(id)).map(|(_, name)| *name);
                 let place = names.collect::<Vec<_>>().join(", ");
@@ -89,6 +75,32 @@ its neighbours.";
         };
         vec![(with(0), Severity::Caution), (with(3), Severity::Caution)]
     }
+}
+
+/// Returns the cameras that hang on the others by the fewest frames, and how many these are; `None` for a single camera.
+pub(crate) fn weakest_link(case: &Case) -> Option<(Vec<CameraId>, usize)> {
+    let cameras: Vec<(CameraId, &str)> = case.cameras().map(|(id, name, _)| (id, name)).collect();
+    let weakest = gaps(case, &cameras).into_iter().min_by_key(|(_, n_shared)| *n_shared);
+    weakest.map(|(side, n_shared)| (side.into_iter().collect(), n_shared))
+}
+
+/// Returns the cameras on the smaller side of each link that holds the rig together, with how many frames cross it.
+fn gaps(case: &Case, cameras: &[(CameraId, &str)]) -> Vec<(BTreeSet<CameraId>, usize)> {
+    let mut seen_by: BTreeMap<FrameId, BTreeSet<CameraId>> = BTreeMap::new();
+    for used in case.used_views().filter(|used| used.fit.rms_px.is_some()) {
+        seen_by.entry(used.view.frame).or_default().insert(used.view.camera);
+    }
+    let tree = strongest_tree(cameras, &seen_by);
+    let gap = |link: usize| {
+        let side = smaller_side(cameras, &tree, link);
+        let is_shared = |cameras: &&BTreeSet<CameraId>| {
+            cameras.iter().any(|camera| side.contains(camera))
+                && !cameras.iter().all(|camera| side.contains(camera))
+        };
+        let n_shared = seen_by.values().filter(is_shared).count();
+        (side, n_shared)
+    };
+    (0..tree.len()).map(gap).collect()
 }
 
 type Link = (CameraId, CameraId);
