@@ -111,6 +111,10 @@ fn plain(parameter: &str) -> String {
         "tz_m" => "distance",
         "shape0_m" => "bend along x",
         "shape1_m" => "bend along y",
+        "shape2_m" => "twist",
+        "shape3_m" => "change of the bend along x",
+        "shape4_m" => "change of the bend along y",
+        "shape5_m" => "bend of the middle",
         "time_offset_s" => "time offset",
         "line_delay_s" => "line delay",
         other => other,
@@ -133,7 +137,7 @@ fn remedy(names: &[&str]) -> &'static str {
         "tilt the board, and roll it by 90 degrees between views"
     } else if has_pose {
         "show the board to these cameras at once, in more places"
-    } else if ends_in(&["shape0_m", "shape1_m"]) {
+    } else if names.iter().any(|name| name.rsplit('.').next().is_some_and(|end| end.starts_with("shape"))) {
         "tilt the board and roll it by 90 degrees, or take it as flat"
     } else {
         "bring corners to the borders of the image, or take a lens model with fewer parameters"

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use boresight_camera::{CameraModel, Model, ModelVisitor};
-use boresight_data::{Observation, Target};
+use boresight_data::{Observation, Shape, Target};
 use boresight_geometry::{Matrix3, Pose, Scalar, Vector3};
 use boresight_solver::gram::{BLOCK, Previous, Row};
 use boresight_solver::lanes::{Lanes, MAX_LANES};
@@ -31,8 +31,9 @@ use crate::reprojection::row_lens::{Called, Inlined, RowLens};
 /// Points whose rows are in scratch at once; more would spill out of the first-level cache.
 const POINTS_AT_ONCE: usize = 104;
 
-/// The largest number of shape coefficients of a target.
-const MAX_SHAPE: usize = 2;
+/// The numbers of shape coefficients of a target, besides none, that the loops over points are compiled for.
+const FEW_SHAPE: usize = Shape::Parabolic2.coefficient_count();
+const MAX_SHAPE: usize = Shape::MOST_COEFFICIENTS;
 
 /// The column of the first lens parameter after the core: focal length and centre come before.
 ///
@@ -43,7 +44,7 @@ const FIRST_LENS_COLUMN: usize = 2;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TargetPoints {
     n_points: usize,
-    /// x, y, z as drawn, then the displacement by each shape coefficient.
+    /// x, y, z as drawn, then the displacement by each shape coefficient; empty for those that the target has not.
     axes: [Vec<f64>; 3 + MAX_SHAPE],
 }
 
@@ -122,7 +123,19 @@ impl TargetPoints {
                 _ => target.shape_basis(observation.point)[axis - 3],
             }))
         };
-        Self { n_points: observations.len(), axes: [0, 1, 2, 3, 4].map(axis) }
+        let n_axes = 3 + target.shape.coefficient_count();
+        let axes = std::array::from_fn(|i| if i < n_axes { axis(i) } else { Vec::new() });
+        Self { n_points: observations.len(), axes }
+    }
+
+    /// Returns where a point is on a target with these shape coefficients.
+    fn bent(&self, point: usize, shape: &[f64]) -> Vector3<f64> {
+        let [x, y, drawn, bends @ ..] = &self.axes;
+        let mut z = drawn[point];
+        for (bend, coefficient) in bends.iter().zip(shape) {
+            z += coefficient * bend[point];
+        }
+        Vector3::new(x[point], y[point], z)
     }
 }
 
@@ -151,6 +164,10 @@ impl Reprojection {
         layouts: &Layouts,
     ) -> Self {
         assert_eq!(points.n_points, observations.len(), "each observation has its point");
+        assert!(
+            shape.is_none_or(|(_, n)| [FEW_SHAPE, MAX_SHAPE].contains(&n)),
+            "a shape is one that a target may have"
+        );
         let mut blocks = vec![lens];
         blocks.extend(shape.map(|(block, _)| block));
         blocks.extend(chain.blocks());
@@ -253,15 +270,9 @@ impl Reprojection {
                 let Self(term, values) = self;
                 let lens = values.vector(term.blocks[0]);
                 let cam_from_target = term.chain.compose(values);
-                let shape = term.shape(values);
-                let axes = &term.points.axes;
-                (0..term.points.n_points)
-                    .map(|i| {
-                        let z = axes[2][i] + shape[0] * axes[3][i] + shape[1] * axes[4][i];
-                        let point_in_cam = cam_from_target * Vector3::new(axes[0][i], axes[1][i], z);
-                        model.project(lens, point_in_cam.into())
-                    })
-                    .collect()
+                let shape = &term.shape(values)[..term.n_shape];
+                let project = |i| model.project(lens, (cam_from_target * term.points.bent(i, shape)).into());
+                (0..term.points.n_points).map(project).collect()
             }
         }
         match &self.row_times {
@@ -341,7 +352,7 @@ impl ModelVisitor for Accumulate<'_> {
 
     fn visit<M: CameraModel>(self, model: M) -> Option<Weighed> {
         let arch = self.term.arch;
-        if const { M::IS_INLINED } {
+        if const { M::IS_INLINED } && self.term.n_shape <= Inlined::<M>::MAX_SHAPE {
             arch.dispatch(AccumulateWith { lens: Inlined(model), view: self })
         } else {
             arch.dispatch(AccumulateWith { lens: Called(self.term.model), view: self })
@@ -363,7 +374,11 @@ impl<L: RowLens> WithSimd for AccumulateWith<'_, L> {
         // arm becomes, so that rows are written without loops and without checks.
         match self.view.term.n_shape {
             0 => accumulate::<L, S, 0>(simd, self.lens, self.view),
-            _ => accumulate::<L, S, MAX_SHAPE>(simd, self.lens, self.view),
+            FEW_SHAPE => accumulate::<L, S, FEW_SHAPE>(simd, self.lens, self.view),
+            _ if const { L::MAX_SHAPE == MAX_SHAPE } => {
+                accumulate::<L, S, MAX_SHAPE>(simd, self.lens, self.view)
+            }
+            _ => unreachable!("a lens that is part of the loop is not asked for more"),
         }
     }
 }

@@ -153,8 +153,12 @@ impl RigProblem {
         let mut targets = IdVec::default();
         for (target_id, belief) in scene.targets.enumerate() {
             let is_seen = dataset.views.iter().any(|view| view.target == target_id);
-            let shape = (dataset.targets[target_id].shape != Shape::Rigid && is_seen)
-                .then(|| parameters.add_vector(&belief.shape_m));
+            let shape = (dataset.targets[target_id].shape != Shape::Rigid && is_seen).then(|| {
+                // Shapes with more coefficients begin with those with fewer.
+                let mut shape_m = belief.shape_m.clone();
+                shape_m.resize(dataset.targets[target_id].shape.coefficient_count(), 0.0);
+                parameters.add_vector(&shape_m)
+            });
             let first_from_target = (target_id.index() > 0 && is_seen)
                 .then(|| parameters.add_pose(&belief.first_from_target, Elimination::Reduced));
             targets.push(TargetBlocks { shape, first_from_target });

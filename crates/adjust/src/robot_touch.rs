@@ -4,7 +4,7 @@
 //! fixed ones. So one equation serves both, as for sights:
 //! `other_from_carrier * tip_in_carrier = other_from_first * first_from_target * point_in_target`.
 
-use boresight_data::{Mounting, PointId, Target, TargetId};
+use boresight_data::{Mounting, PointId, Shape, Target, TargetId};
 use boresight_geometry::nalgebra::Matrix3xX;
 use boresight_geometry::{Matrix3, Pose, Vector3, skew};
 use boresight_solver::{BlockId, GramMut, Scratch, Term, TermKind, Values};
@@ -55,7 +55,7 @@ pub(crate) struct TouchedPoint {
     shape: Option<BlockId>,
     drawn: Vector3<f64>,
     /// By how much a unit of each shape coefficient lifts the point along the target's z.
-    basis: [f64; 2],
+    basis: [f64; Shape::MOST_COEFFICIENTS],
     sigma_m: f64,
 }
 
@@ -119,7 +119,7 @@ impl TouchedPoint {
         let target_turn = other_from_first.rotation_matrix();
 
         // A left perturbation (w, v) of a pose moves what it takes to p by w × p + v.
-        let mut columns: Vec<Vector3<f64>> = Vec::with_capacity(6 + 3 + 6 + 6 + 2);
+        let mut columns: Vec<Vector3<f64>> = Vec::with_capacity(6 + 3 + 6 + 6 + self.basis.len());
         let mut push =
             |block: &Matrix3<f64>| columns.extend(block.column_iter().map(|column| column.into_owned()));
         push(&skew(&point));
@@ -173,7 +173,7 @@ impl Term for TouchedPoint {
 
 #[cfg(test)]
 mod tests {
-    use boresight_data::{Geometry, Id as _, Shape};
+    use boresight_data::{Geometry, Id as _};
     use boresight_solver::{Elimination, Parameters};
 
     use super::*;
@@ -182,7 +182,7 @@ mod tests {
     fn a_touchs_derivatives_match_differences() {
         let pose = |a: f64| Pose::from_rodrigues(Vector3::new(a, 0.3, -0.2), Vector3::new(0.5, a, 0.9));
         let geometry = Geometry::Chessboard { columns: 5, rows: 4, spacing_m: 0.1 };
-        let target = Target { name: "board".to_owned(), geometry, shape: Shape::Parabolic2 };
+        let target = Target { name: "board".to_owned(), geometry, shape: Shape::Twisted6 };
         for mounting in [Mounting::RigOnFlange, Mounting::RigInBase] {
             let mut parameters = Parameters::default();
             let blocks = TouchBlocks {
@@ -190,7 +190,7 @@ mod tests {
                 other_from_first: parameters.add_pose(&pose(0.7), Elimination::Reduced),
                 tip: parameters.add_vector(&[0.1, -0.05, 0.2]),
                 first_from_target: Some(parameters.add_pose(&pose(-0.3), Elimination::Reduced)),
-                shape: Some(parameters.add_vector(&[0.02, -0.01])),
+                shape: Some(parameters.add_vector(&[0.02, -0.01, 0.03, 0.01, -0.02, 0.015])),
             };
             let arm = parameters.add_pose(&pose(0.4), Elimination::Reduced);
             let term = TouchedPoint::new(&blocks, Told::Block(arm), &target, PointId::from_index(8), 1.0);

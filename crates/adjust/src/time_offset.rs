@@ -197,7 +197,8 @@ fn line_delay_information(dataset: &Dataset, scene: &Scene, camera: CameraId) ->
         let cam_from_rig = scene.rig.cameras[camera].as_ref()?.cam_from_rig;
         let (rig_from_target, motion) = (scene.rig_from_target[view.frame]?, scene.motion[view.frame]?);
         let ends = [0.0, LOOSEST_READOUT_S].map(|time_s| motion.after(time_s) * rig_from_target);
-        let rate_px = shift_px(dataset, scene, view, ends.map(|pose| cam_from_rig * pose))? / LOOSEST_READOUT_S;
+        let rate_px =
+            shift_px(dataset, scene, view, ends.map(|pose| cam_from_rig * pose))? / LOOSEST_READOUT_S;
         Some(view.observations.iter().map(|seen| (rate_px / seen.sigma_px).powi(2)).sum::<f64>())
     };
     dataset.views.iter().filter(|view| view.camera == camera).filter_map(information).sum()

@@ -46,7 +46,10 @@ impl Case {
         let target = Target {
             name: "board".to_owned(),
             geometry: Geometry::Chessboard { columns: 9, rows: 15, spacing_m: 0.05 },
-            shape: if self.shape.is_some() { Shape::Parabolic2 } else { Shape::Rigid },
+            shape: Shape::ALL
+                .into_iter()
+                .find(|shape| shape.coefficient_count() == self.shape.as_ref().map_or(0, Vec::len))
+                .unwrap(),
         };
         let pixel = |idx: usize| [700.0 + 3.7 * (idx % 11) as f64, 500.0 + 2.3 * (idx % 7) as f64];
         let own: Vec<Observation> = (0..self.n_points)
@@ -210,6 +213,8 @@ fn pose(rotation: [f64; 3], translation: [f64; 3]) -> Pose {
     Pose::from_rodrigues(Vector3::from(rotation), Vector3::from(translation))
 }
 
+const TWISTED_M: [f64; 6] = [2e-3, -3e-3, 4e-3, -1e-3, 2e-3, -2e-3];
+
 fn case(model: Model) -> Case {
     let (model, lens) = example(model);
     Case {
@@ -232,10 +237,18 @@ fn every_lens_matches_differences() {
 }
 
 #[test]
+fn every_lens_matches_differences_on_a_twisted_board() {
+    for name in Model::names() {
+        check(&Case { shape: Some(TWISTED_M.to_vec()), ..case(name.parse().unwrap()) });
+    }
+}
+
+#[test]
 fn splined_lenses_match_in_every_way() {
     for name in ["splined2", "splined3"] {
         let case = case(name.parse().unwrap());
         check(&Case { shape: None, n_points: 13, ..case.clone() });
+        check(&Case { shape: Some(TWISTED_M.to_vec()), n_points: 13, ..case.clone() });
         check(&Case { loss: Loss::Cauchy { sigmas: 30.0 }, ..case.clone() });
         check(&Case { rejected: vec![0, 3, 77, 134], n_points: 135, ..case.clone() });
         let mut long = case;

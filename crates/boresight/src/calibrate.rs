@@ -14,7 +14,7 @@ use boresight_validate::{Verdict, verdict};
 
 use crate::VERSION;
 use crate::beliefs::{Beliefs, Earlier};
-use crate::choices::{LensModel, ShapeChoice};
+use crate::choices::{LensModel, RegularizationChoice, ShapeChoice};
 use crate::error::Error;
 use crate::held_out::held_out;
 use crate::lens_choice::{LensSelection, choose_lens};
@@ -57,7 +57,7 @@ pub struct Outcome {
     pub left_out: Vec<String>,
     /// The lens models that were chosen, and why.
     pub lenses: Vec<LensSelection>,
-    /// Whether the shape of the target helped, where that was asked.
+    /// Which shape of the target helped, where that was asked.
     pub shape: Option<ShapeSelection>,
     /// How it was adjusted: with the lenses that the job states, the holds, priors and shared lenses that the options
     /// came to. Whoever adjusts the dataset again begins with these.
@@ -70,12 +70,12 @@ pub struct Outcome {
 /// verdict is [`Verdict::Fail`].
 pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result<Outcome, Error> {
     let mut dataset = select_cameras(&job.dataset, &options.cameras)?;
-    for target in dataset.targets.iter_mut() {
-        target.shape = match (&target.geometry, options.shape) {
-            (Geometry::Points { .. }, _) | (_, ShapeChoice::None) => Shape::Rigid,
-            (_, ShapeChoice::Two | ShapeChoice::Auto) => Shape::Parabolic2,
-        };
-    }
+    let shapes = shapes(options)?;
+    let usual = match options.shape {
+        ShapeChoice::Given(shape) => shape,
+        ShapeChoice::Auto => Shape::Parabolic2,
+    };
+    set_shape(&mut dataset, usual);
     let groups = groups(&dataset, &options.share_lens)?;
     let mut stated = known_lenses(job, &dataset);
     spread_stated(&dataset, &groups, &mut stated)?;
@@ -92,10 +92,10 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
     let (models, lenses) = chosen?;
     let may_bend = dataset.targets.iter().any(|target| target.shape != Shape::Rigid);
     let shape = (options.shape == ShapeChoice::Auto && may_bend)
-        .then(|| with_threads(options.jobs, || choose_shape(&dataset, &models, &known, terms)));
+        .then(|| with_threads(options.jobs, || choose_shape(&dataset, shapes, &models, &known, terms)));
     watch.check()?;
-    if shape.as_ref().is_some_and(|shape| !shape.helps) {
-        dataset.targets.iter_mut().for_each(|target| target.shape = Shape::Rigid);
+    if let Some(selection) = &shape {
+        set_shape(&mut dataset, selection.shape);
     }
     let holds = stated.iter().map(|(camera, _)| Hold::Lens(*camera)).collect();
     let seed_options = SeedOptions { models, known, ..SeedOptions::default() };
@@ -138,6 +138,28 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
     let left_out = seed.left_out.iter().map(|fact| fact.describe(&dataset)).collect();
     let (verdict, adjust) = (verdict(&findings), AdjustOptions { cancel: None, ..adjust_options });
     Ok(Outcome { calibration, verdict, dataset, findings, left_out, lenses, shape, adjust })
+}
+
+/// Returns the shapes that targets may have, or an error if the options ask for another.
+fn shapes(options: &CalibrateOptions) -> Result<&'static [Shape], Error> {
+    let is_mrcals = options.regularization == RegularizationChoice::Mrcal22;
+    let shapes = if is_mrcals { &Shape::ALL[..2] } else { &Shape::ALL[..] };
+    match options.shape {
+        ShapeChoice::Given(shape) if !shapes.contains(&shape) => {
+            Err(Error::ShapeNotMrcals { coefficients: shape.coefficient_count() })
+        }
+        _ => Ok(shapes),
+    }
+}
+
+/// Gives a shape to all targets that are grids.
+pub(crate) fn set_shape(dataset: &mut Dataset, shape: Shape) {
+    for target in dataset.targets.iter_mut() {
+        target.shape = match target.geometry {
+            Geometry::Points { .. } => Shape::Rigid,
+            _ => shape,
+        };
+    }
 }
 
 /// Returns the lens model of each camera, and why for those that were chosen.

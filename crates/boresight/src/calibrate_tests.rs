@@ -28,14 +28,19 @@ fn options(model: &str, shape: &str) -> CalibrateOptions {
 
 /// A lens that sees 140 degrees across the diagonal of 1600x1200, and a board of 560x360 mm.
 fn wide(shape_m: Vec<f64>) -> Synthetic {
+    wide_by(shape_m, 21)
+}
+
+fn wide_by(shape_m: Vec<f64>, seed: u64) -> Synthetic {
     let params = vec![800.0, 801.0, 803.0, 597.0, 0.02, -0.006, 0.001, -2e-4];
     let camera = Camera::new("kannala-brandt4".parse().unwrap(), params, [1600, 1200]).unwrap();
     let mut recipe = Recipe::fisheye();
     recipe.cameras = vec![PlacedCamera { name: "wide".to_owned(), camera, cam_from_rig: Pose::identity() }];
     recipe.target.geometry = Geometry::Chessboard { columns: 15, rows: 10, spacing_m: 0.04 };
+    recipe.target.shape = if shape_m.len() > 2 { Shape::Twisted6 } else { Shape::Parabolic2 };
     recipe.shape_m = shape_m;
     recipe.frames = 40;
-    simulate(&recipe, 21)
+    simulate(&recipe, seed)
 }
 
 #[test]
@@ -57,7 +62,7 @@ fn a_bowed_board_does_not_bend_the_lens_where_its_shape_is_estimated() {
     let (with, outcome) = calibrated("auto");
     let shape = outcome.shape.clone().unwrap();
     println!("{}", shape.why);
-    assert!(shape.helps && shape.with_px < shape.without_px, "{}", shape.why);
+    assert_eq!(shape.shape, Shape::Parabolic2, "{}", shape.why);
     assert!(with.rms_px <= 0.1 && with.max_px <= 0.2, "{} {}", with.rms_px, with.max_px);
     let (without, _) = calibrated("none");
     assert!(without.rms_px > with.rms_px, "{}", without.rms_px);
@@ -69,7 +74,7 @@ fn trials_keep_to_what_is_held_and_known_and_end_when_they_are_stopped() {
     let lens = made.truth.rig.cameras[CameraId(0)].as_ref().unwrap().camera.clone();
     let stated = Job { known_lenses: vec![("cam0".to_owned(), lens.clone())], ..job(made.dataset.clone()) };
     let outcome = calibrate(&stated, &options("auto", "auto"), &Watch::default()).unwrap();
-    assert!(outcome.lenses.is_empty() && outcome.shape.is_some_and(|shape| shape.helps));
+    assert!(outcome.lenses.is_empty() && outcome.shape.is_some_and(|shape| shape.shape == Shape::Parabolic2));
     let cancel = Arc::new(AtomicBool::new(true));
     let watch = Watch { cancel: Some(cancel), observer: None };
     let stopped = calibrate(&job(made.dataset.clone()), &options("auto", "2"), &watch).unwrap_err();
@@ -83,13 +88,68 @@ fn trials_keep_to_what_is_held_and_known_and_end_when_they_are_stopped() {
     assert!(calibrate(&points, &options("opencv5", "auto"), &Watch::default()).unwrap().shape.is_none());
 }
 
+/// A twist of half a millimetre beside the bends.
+const TWISTED_M: [f64; 6] = [3e-4, -2e-4, 5e-4, 1e-4, -2e-4, 1.5e-4];
+
+#[test]
+#[allow(clippy::print_stdout, reason = "a test says what it measured")]
+fn a_twisted_board_is_recovered_and_does_not_bend_the_lens() {
+    let made = wide(TWISTED_M.to_vec());
+    let truth = &made.truth.rig.cameras[CameraId(0)].as_ref().unwrap().camera;
+    let calibrated = |choice: &str| {
+        let options = options("kannala-brandt4", choice);
+        let outcome = calibrate(&job(made.dataset.clone()), &options, &Watch::default()).unwrap();
+        let lens = outcome.calibration.scene.rig.cameras[CameraId(0)].as_ref().unwrap().camera.clone();
+        let difference = compare(truth, &lens, &CompareOptions::default()).unwrap();
+        println!(
+            "shape {choice}: lens off by {:.3} px rms, {:.3} px max",
+            difference.rms_px, difference.max_px
+        );
+        (difference, outcome)
+    };
+    let (six, outcome) = calibrated("auto");
+    let selection = outcome.shape.unwrap();
+    println!("{}", selection.why);
+    assert_eq!(selection.shape, Shape::Twisted6, "{}", selection.why);
+    assert!(six.rms_px <= 0.1 && six.max_px <= 0.2, "{} {}", six.rms_px, six.max_px);
+    let found_m = &outcome.calibration.scene.targets.iter().next().unwrap().shape_m;
+    for (j, (found, truth)) in found_m.iter().zip(TWISTED_M).enumerate() {
+        let sigma = crate::sigma_of(&outcome.calibration, &format!("board.shape{j}_m")).unwrap();
+        println!("shape{j}: {:.2} sigmas of {:.1} um", (found - truth) / sigma, 1e6 * sigma);
+        assert!((found - truth).abs() <= 3.0 * sigma && sigma < 3e-5, "{j}: {found} {truth} {sigma}");
+    }
+    // What two coefficients leave is measured.
+    let (two, _) = calibrated("2");
+    assert!(two.rms_px > 2.0 * six.rms_px, "{} {}", two.rms_px, six.rms_px);
+}
+
+/// Heavy: `cargo test --release -p boresight --lib shapes_of_many -- --ignored --nocapture`.
+#[test]
+#[ignore = "thirty choices"]
+#[allow(clippy::print_stdout, reason = "a test says what it measured")]
+fn shapes_of_many_boards_are_told() {
+    for shape_m in [vec![0.0, 0.0], vec![5e-4, -3e-4], TWISTED_M.to_vec()] {
+        let chosen = (1..=10).map(|seed| {
+            let made = wide_by(shape_m.clone(), seed);
+            let options = options("kannala-brandt4", "auto");
+            let outcome = calibrate(&job(made.dataset), &options, &Watch::default()).unwrap();
+            outcome.shape.unwrap().shape.coefficient_count()
+        });
+        let chosen: Vec<usize> = chosen.collect();
+        println!("{shape_m:?}: {chosen:?}");
+        let needed = if shape_m.len() > 2 { 6 } else { shape_m.iter().filter(|m| **m != 0.0).count() };
+        assert!(chosen.iter().all(|n| *n >= needed), "{chosen:?}");
+        assert!(chosen.iter().filter(|n| **n > needed).count() <= 2, "{chosen:?}");
+    }
+}
+
 #[test]
 fn a_flat_board_needs_no_shape() {
     let made = wide(vec![0.0, 0.0]);
     let options = options("kannala-brandt4", "auto");
     let outcome = calibrate(&job(made.dataset), &options, &Watch::default()).unwrap();
     let shape = outcome.shape.clone().unwrap();
-    assert!(!shape.helps, "{}", shape.why);
+    assert_eq!(shape.shape, Shape::Rigid, "{}", shape.why);
     assert_eq!(outcome.dataset.targets.as_slice()[0].shape, Shape::Rigid);
 }
 

@@ -5,6 +5,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use boresight_camera::Model;
+use boresight_data::Shape;
 
 /// A value that an option does not take.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -99,16 +100,18 @@ impl fmt::Display for LensChoice {
 }
 
 /// How the target may depart from its drawing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ShapeChoice {
-    /// Not at all.
-    None,
-    /// By two coefficients, a parabola along each side: mrcal's board warp. A target that is no
-    /// grid stays as drawn.
-    #[default]
-    Two,
-    /// By two coefficients if views that took no part are then predicted better, else not at all.
+    /// In this way. A target that is no grid stays as drawn.
+    Given(Shape),
+    /// With as many coefficients as help to predict views that took no part.
     Auto,
+}
+
+impl Default for ShapeChoice {
+    fn default() -> Self {
+        Self::Given(Shape::Parabolic2)
+    }
 }
 
 impl FromStr for ShapeChoice {
@@ -116,10 +119,11 @@ impl FromStr for ShapeChoice {
 
     fn from_str(text: &str) -> Result<Self, BadChoice> {
         match text {
-            "none" => Ok(Self::None),
-            "2" => Ok(Self::Two),
+            "none" => Ok(Self::Given(Shape::Rigid)),
+            "2" => Ok(Self::Given(Shape::Parabolic2)),
+            "6" => Ok(Self::Given(Shape::Twisted6)),
             "auto" => Ok(Self::Auto),
-            _ => Err(BadChoice { value: text.to_owned(), takes: "none, 2, auto" }),
+            _ => Err(BadChoice { value: text.to_owned(), takes: "none, 2, 6, auto" }),
         }
     }
 }
@@ -127,8 +131,9 @@ impl FromStr for ShapeChoice {
 impl fmt::Display for ShapeChoice {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
-            Self::None => "none",
-            Self::Two => "2",
+            Self::Given(Shape::Rigid) => "none",
+            Self::Given(Shape::Parabolic2) => "2",
+            Self::Given(Shape::Twisted6) => "6",
             Self::Auto => "auto",
         })
     }
@@ -311,7 +316,7 @@ mod tests {
 
     #[test]
     fn choices_are_read_and_written() {
-        survives::<ShapeChoice>(&["none", "2", "auto"]);
+        survives::<ShapeChoice>(&["none", "2", "6", "auto"]);
         survives::<RegularizationChoice>(&["none", "default", "mrcal-2.2"]);
         survives::<LossChoice>(&["none", "cauchy:1.5", "cauchy:2"]);
         survives::<RejectChoice>(&["none", "4", "3.5"]);

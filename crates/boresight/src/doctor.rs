@@ -5,9 +5,8 @@
 
 use boresight_camera::{Camera, Model};
 use boresight_data::{
-    Calibration, CameraFit, CameraId, Dataset, Finding, IdVec, Provenance, Regularization,
-    Rejection, RejectionReason, Rig, RigCamera, Scene, Severity, Shape, SolveRecord, Uncertainty, View,
-    ViewFit,
+    Calibration, CameraFit, CameraId, Dataset, Finding, IdVec, Provenance, Regularization, Rejection,
+    RejectionReason, Rig, RigCamera, Scene, Severity, Shape, SolveRecord, Uncertainty, View, ViewFit,
 };
 use boresight_geometry::Pose;
 use boresight_io::Job;
@@ -125,7 +124,7 @@ fn without_start(dataset: &Dataset) -> Calibration {
         // Any lens that reaches the whole image will do: poses are not asked for.
         let params = vec![width, width, 0.5 * (width - 1.0), 0.5 * (height - 1.0)];
         let camera = Camera::new(Model::Pinhole(Default::default()), params, info.image_size).ok()?;
-        Some(RigCamera { camera, cam_from_rig: Pose::identity(), time_offset_s: 0.0 })
+        Some(RigCamera { camera, cam_from_rig: Pose::identity(), time_offset_s: 0.0, line_delay_s: 0.0 })
     };
     let scene = Scene {
         rig: Rig { cameras: dataset.cameras.iter().map(camera).collect() },

@@ -66,6 +66,14 @@ pub enum Error {
         /// The parameters that it has.
         known: Vec<&'static str>,
     },
+    /// The regularisation is that of a tool whose targets have another shape.
+    #[error(
+        "option shape: mrcal-2.2 knows two coefficients, and its rows with {coefficients} would not be its problem"
+    )]
+    ShapeNotMrcals {
+        /// The number of shape coefficients asked for.
+        coefficients: usize,
+    },
     /// Cameras are to share a lens and cannot.
     #[error("option share_lens: cameras {} and {} cannot share a lens: {why}", cameras[0], cameras[1])]
     LensesApart {
@@ -222,6 +230,7 @@ impl Error {
             | Error::NothingToHold { .. }
             | Error::NoParameter { .. }
             | Error::LensesApart { .. }
+            | Error::ShapeNotMrcals { .. }
             | Error::Noncentral { .. }
             | Error::MovingRobot
             | Error::NoRobotPoses => ErrorKind::Usage,
@@ -279,6 +288,7 @@ impl Error {
             Error::NoClosedForm { .. } => text(
                 "`boresight robot poses` tries all readings of the poses; are they turned about different axes?",
             ),
+            Error::ShapeNotMrcals { .. } => text("take --shape 2, or another --regularization"),
             Error::Options { .. } => text(
                 "[options] takes model, shape, regularization, loss, reject, holdout, hold, prior, share_lens, cameras and jobs",
             ),

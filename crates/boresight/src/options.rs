@@ -216,6 +216,8 @@ mod as_texts {
 
 #[cfg(test)]
 mod tests {
+    use boresight_data::Shape;
+
     use super::*;
 
     fn job(options: &str) -> Job {
@@ -237,14 +239,16 @@ mod tests {
         ));
         let options = options.unwrap();
         assert_eq!(options.model.to_string(), "opencv8");
-        assert_eq!(options.shape, ShapeChoice::None);
+        assert_eq!(options.shape, ShapeChoice::Given(Shape::Rigid));
         assert_eq!(options.reject, RejectChoice::Beyond { sigmas: 3.5 });
         assert_eq!(options.loss, LossChoice::Cauchy { px: 2.0 });
         assert_eq!(options.regularization, RegularizationChoice::Default);
         assert_eq!(options.stated()["cameras"], "left");
         assert!(!options.stated().contains_key("jobs"), "threads have no say in the result");
         assert_eq!(CalibrateOptions::of_job(&job("")).unwrap(), CalibrateOptions::default());
-        assert_eq!(CalibrateOptions::of_job(&job("shape = 2")).unwrap().shape, ShapeChoice::Two);
+        for (text, shape) in [("shape = 2", Shape::Parabolic2), ("shape = \"6\"", Shape::Twisted6)] {
+            assert_eq!(CalibrateOptions::of_job(&job(text)).unwrap().shape, ShapeChoice::Given(shape));
+        }
     }
 
     #[test]

@@ -90,8 +90,8 @@ pub trait CameraModel: Copy + Send + Sync + 'static {
     /// otherwise that loop calls it.
     const IS_INLINED: bool = false;
 
-    /// Whether the model has [`local_support`](Self::local_support).
-    const IS_LOCAL: bool = false;
+    /// The side of a point's [`local_support`](Self::local_support), of a model that has one.
+    const LOCAL_SIDE: Option<usize> = None;
 
     /// Returns the model that a configuration describes, or `None` if the text is none.
     ///

@@ -159,7 +159,7 @@ impl<const N: usize> Default for Splined<N> {
 }
 
 impl<const N: usize> CameraModel for Splined<N> {
-    const IS_LOCAL: bool = true;
+    const LOCAL_SIDE: Option<usize> = Some(N + 1);
     const NAME: &'static str = match N {
         2 => "splined2",
         3 => "splined3",

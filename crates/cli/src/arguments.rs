@@ -133,8 +133,9 @@ pub(crate) struct CalibrateArguments {
     /// predicts; cameras may have their own, as in opencv5,right=eucm [default: opencv5]
     #[arg(long, value_name = "NAME")]
     pub model: Option<LensChoice>,
-    /// How the target may depart from flat: none, 2 coefficients, or auto: 2 if they predict better [default: 2]
-    #[arg(long, value_name = "none|2|auto")]
+    /// How the target may depart from flat: none, 2 coefficients (a bend along each side), 6 (a twist and higher bends
+    /// too), or auto: as many as help to predict views that took no part [default: 2]
+    #[arg(long, value_name = "none|2|6|auto")]
     pub shape: Option<ShapeChoice>,
     /// What keeps weakly constrained lens parameters in bounds: none, default or mrcal-2.2
     #[arg(long, value_name = "KIND")]

@@ -249,14 +249,20 @@ fn solve(calibration: &Calibration) -> String {
     for (target, belief) in calibration.targets.iter().zip(&calibration.scene.targets) {
         let value = match target.shape {
             Shape::Rigid => "as drawn".to_owned(),
-            Shape::Parabolic2 => {
+            Shape::Parabolic2 | Shape::Twisted6 => {
                 let coefficient = |j: usize, value: f64| {
                     let sigma = sigma_of(calibration, &format!("{}.shape{j}_m", target.name));
                     with_sigma(1e3 * value, sigma.map(|sigma| 1e3 * sigma))
                 };
                 let bends: Vec<String> =
                     belief.shape_m.iter().enumerate().map(|(j, value)| coefficient(j, *value)).collect();
-                format!("{} mm out of flat at its middle, by the bends along x and y", bends.join(" and "))
+                match bends.as_slice() {
+                    [x, y] => format!("{x} and {y} mm out of flat at its middle, by the bends along x and y"),
+                    _ => format!(
+                        "{} mm out of flat, by the bends along x and y, a twist, the changes of both bends from edge to edge, and the bend of the middle",
+                        bends.join(", ")
+                    ),
+                }
             }
         };
         rows.push(("target", value));

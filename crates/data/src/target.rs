@@ -114,15 +114,35 @@ pub enum Shape {
     /// Two coefficients in metres, mrcal's board warp: the deflection along +z at the centre of a
     /// parabola along x and of one along y, zero at the grid's four edges.
     Parabolic2,
+    /// Six coefficients in metres: those two, then a twist, how each parabola differs between the edges beside it, and
+    /// what both make together in the middle. Each is the largest deflection along +z of its kind, or near to it.
+    Twisted6,
 }
 
 impl Shape {
+    /// All of them, each with more coefficients than the one before; the first of those are the same.
+    pub const ALL: [Shape; 3] = [Shape::Rigid, Shape::Parabolic2, Shape::Twisted6];
+
+    /// The largest number of coefficients.
+    pub const MOST_COEFFICIENTS: usize = 6;
+
     /// Returns the number of coefficients.
-    pub fn coefficient_count(self) -> usize {
+    pub const fn coefficient_count(self) -> usize {
         match self {
             Shape::Rigid => 0,
             Shape::Parabolic2 => 2,
+            Shape::Twisted6 => 6,
         }
+    }
+
+    /// Returns the displacement along +z by a unit of each coefficient there can be, at `across` of a grid: from 0 to 1
+    /// along x and along y.
+    ///
+    /// The first two are mrcal's, `4 x (1 - x)` and `4 y (1 - y)`. No sum of them is a motion of a flat target.
+    pub fn bends(across: [f64; 2]) -> [f64; Self::MOST_COEFFICIENTS] {
+        let [x, y] = across.map(|position| 2.0 * position - 1.0);
+        let [a, b] = across.map(|position| 4.0 * position * (1.0 - position));
+        [a, b, x * y, a * y, x * b, a * b]
     }
 }
 
@@ -173,22 +193,30 @@ impl Target {
 
     /// Returns the displacement of `point` along +z by a unit of each shape coefficient.
     ///
-    /// Empty for a rigid target. mrcal's formula: `4 x (1 - x)` and `4 y (1 - y)` for positions x, y
-    /// in [0, 1] across the grid.
-    pub fn shape_basis(&self, point: PointId) -> [f64; 2] {
-        let Shape::Parabolic2 = self.shape else { return [0.0; 2] };
-        let across = |position: f64, extent: f64| {
-            let relative = if extent > 0.0 { position / extent } else { 0.0 };
-            4.0 * relative * (1.0 - relative)
-        };
+    /// Zero for coefficients that its shape does not have. See [`Shape::bends`].
+    pub fn shape_basis(&self, point: PointId) -> [f64; Shape::MOST_COEFFICIENTS] {
+        let mut basis = [0.0; Shape::MOST_COEFFICIENTS];
+        let n = self.shape.coefficient_count();
+        if n > 0
+            && let Some(across) = self.across(point)
+        {
+            basis[..n].copy_from_slice(&Shape::bends(across)[..n]);
+        }
+        basis
+    }
+
+    /// Returns where `point` is across the grid, from 0 to 1 along x and along y; `None` for a free set of points, which
+    /// has no grid to bend along.
+    fn across(&self, point: PointId) -> Option<[f64; 2]> {
+        let across = |position: f64, extent: f64| if extent > 0.0 { position / extent } else { 0.0 };
         match (&self.geometry, self.geometry.grid()) {
             // A grid of one step is measured in steps, others in metres.
             (Geometry::Chessboard { .. } | Geometry::Charuco { .. }, Some([columns, rows])) => {
                 let (column, row) = (point.0 % columns, point.0 / columns);
-                [
+                Some([
                     across(f64::from(column), f64::from(columns - 1)),
                     across(f64::from(row), f64::from(rows - 1)),
-                ]
+                ])
             }
             (Geometry::AprilGrid { .. } | Geometry::Circles { .. }, Some([columns, rows])) => {
                 // Of an asymmetric grid, the rows that are shifted reach furthest.
@@ -196,10 +224,9 @@ impl Target {
                 let end =
                     [in_row(0).max(in_row(1.min(rows - 1))), self.drawn_point(PointId(columns * rows - 1)).y];
                 let at = self.drawn_point(point);
-                [across(at.x, end[0]), across(at.y, end[1])]
+                Some([across(at.x, end[0]), across(at.y, end[1])])
             }
-            // A free set of points has no grid to bow along.
-            _ => [0.0; 2],
+            _ => None,
         }
     }
 
@@ -249,7 +276,7 @@ mod tests {
         ];
         for geometry in geometries {
             let target = Target { name: "board".to_owned(), geometry, shape: Shape::Parabolic2 };
-            let bases: Vec<[f64; 2]> =
+            let bases: Vec<[f64; Shape::MOST_COEFFICIENTS]> =
                 (0..target.point_count()).map(|i| target.shape_basis(PointId::from_index(i))).collect();
             for axis in 0..2 {
                 let most = bases.iter().map(|basis| basis[axis]).fold(0.0, f64::max);
@@ -258,7 +285,45 @@ mod tests {
                     "{target:?}"
                 );
             }
-            assert_eq!(bases[0], [0.0; 2]);
+            assert_eq!(bases[0], [0.0; Shape::MOST_COEFFICIENTS]);
         }
+    }
+
+    #[test]
+    fn no_sum_of_bends_is_a_motion() {
+        let geometry = Geometry::Chessboard { columns: 7, rows: 5, spacing_m: 1.0 };
+        let target = Target { name: "board".to_owned(), geometry, shape: Shape::Twisted6 };
+        // What a small motion does to z of a flat target comes first.
+        const N: usize = 3 + Shape::MOST_COEFFICIENTS;
+        let rows = (0..target.point_count()).map(|i| {
+            let point = PointId::from_index(i);
+            let at = target.drawn_point(point);
+            let mut row = vec![1.0, at.x / 6.0, at.y / 4.0];
+            row.extend(target.shape_basis(point));
+            row
+        });
+        let entries: Vec<f64> = rows.flatten().collect();
+        let matrix = boresight_geometry::nalgebra::DMatrix::from_row_slice(entries.len() / N, N, &entries);
+        let singular = matrix.singular_values();
+        assert!(singular.min() > 0.02 * singular.max(), "{singular}");
+    }
+
+    #[test]
+    fn shapes_with_more_coefficients_begin_with_those_with_fewer() {
+        let geometry = Geometry::Chessboard { columns: 5, rows: 3, spacing_m: 1.0 };
+        let basis = |shape| {
+            let target = Target { name: "board".to_owned(), geometry: geometry.clone(), shape };
+            target.shape_basis(PointId(1))
+        };
+        // The second of five points along x, at the first of three along y.
+        let all = [0.75, 0.0, 0.5, -0.75, 0.0, 0.0];
+        for shape in Shape::ALL {
+            let (had, others) = all.split_at(shape.coefficient_count());
+            let found = basis(shape);
+            assert_eq!(found[..had.len()], *had);
+            assert!(found[had.len()..].iter().all(|entry| *entry == 0.0) && found.len() == all.len());
+            assert_eq!(others.is_empty(), shape == Shape::Twisted6);
+        }
+        assert!(Shape::ALL.is_sorted_by_key(|shape| shape.coefficient_count()));
     }
 }

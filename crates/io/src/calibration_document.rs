@@ -127,6 +127,7 @@ pub(crate) enum LayoutDocument {
 pub(crate) enum ShapeDocument {
     Rigid,
     Parabolic2,
+    Twisted6,
 }
 
 #[derive(Debug, Serialize, Deserialize)]

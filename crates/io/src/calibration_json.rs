@@ -414,6 +414,7 @@ fn write_target(target: &Target, belief: &TargetBelief) -> Result<TargetDocument
         shape: match target.shape {
             Shape::Rigid => ShapeDocument::Rigid,
             Shape::Parabolic2 => ShapeDocument::Parabolic2,
+            Shape::Twisted6 => ShapeDocument::Twisted6,
         },
         shape_m: belief.shape_m.clone(),
         first_from_target: write_pose(&belief.first_from_target, &target.name)?,
@@ -541,7 +542,13 @@ impl Reader<'_> {
         let shape = match document.shape {
             ShapeDocument::Rigid => Shape::Rigid,
             ShapeDocument::Parabolic2 => Shape::Parabolic2,
+            ShapeDocument::Twisted6 => Shape::Twisted6,
         };
+        let (n, need) = (document.shape_m.len(), shape.coefficient_count());
+        if n != need {
+            let need = format!("{need} coefficients, as its shape has");
+            return Err(self.bad(format!("targets[{i}].shape_m"), format!("{n} numbers"), &need));
+        }
         let first_from_target =
             self.pose(&document.first_from_target, || format!("targets[{i}].first_from_target"))?;
         let belief = TargetBelief { shape_m: document.shape_m, first_from_target };
@@ -672,6 +679,26 @@ mod tests {
         assert_eq!(json["target"]["shape"][0], 1e-4);
         for key in ["rms_px", "stop", "provenance"] {
             assert!(json.get(key).is_some(), "{key}");
+        }
+    }
+
+    #[test]
+    fn every_shape_survives_with_as_many_coefficients_as_it_has() {
+        let mut calibration = sample();
+        for shape in Shape::ALL {
+            let n = shape.coefficient_count();
+            calibration.targets.iter_mut().next().unwrap().shape = shape;
+            let shape_m = (0..n).map(|j| 1e-4 / (1.0 + j as f64)).collect();
+            calibration.scene.targets.iter_mut().next().unwrap().shape_m = shape_m;
+            let bytes = calibration_to_json(&calibration, &[]).unwrap();
+            assert_eq!(calibration_from_json("c", &bytes).unwrap().0, calibration);
+            calibration.scene.targets.iter_mut().next().unwrap().shape_m.push(1e-3);
+            let bytes = calibration_to_json(&calibration, &[]).unwrap();
+            let error = calibration_from_json("c", &bytes).unwrap_err().to_string();
+            assert!(
+                error.contains(&format!("{n} coefficients")) && error.contains("targets[0].shape_m"),
+                "{error}"
+            );
         }
     }
 

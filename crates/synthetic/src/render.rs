@@ -110,18 +110,14 @@ pub fn render(
 /// A target in units of its drawing.
 struct Board<'a> {
     drawing: Drawing,
-    shape_m: [f64; 2],
+    shape_m: Vec<f64>,
     exposure: &'a Exposure,
 }
 
 impl<'a> Board<'a> {
     fn new(target: &Target, shape_m: &[f64], exposure: &'a Exposure) -> Option<Self> {
         let drawing = Drawing::new(target, &exposure.print)?;
-        let bend = |i: usize| shape_m.get(i).copied().unwrap_or(0.0);
-        let shape_m = match target.shape {
-            Shape::Parabolic2 => [bend(0), bend(1)],
-            Shape::Rigid => [0.0; 2],
-        };
+        let shape_m = shape_m.iter().copied().take(target.shape.coefficient_count()).collect();
         Some(Self { drawing, shape_m, exposure })
     }
 
@@ -136,18 +132,16 @@ impl<'a> Board<'a> {
         let mut met = [0.0; 2];
         let mut z_m = 0.0;
         // The bend is a millimetre over decimetres, so each pass gains three digits.
-        for _ in 0..if self.shape_m == [0.0; 2] { 1 } else { 5 } {
+        let is_flat = self.shape_m.iter().all(|coefficient| *coefficient == 0.0);
+        for _ in 0..if is_flat { 1 } else { 5 } {
             let length = (z_m - origin.z) / direction.z;
             if length <= 0.0 {
                 return None;
             }
             let point = origin + direction * length;
             met = [point.x / self.drawing.unit_m, point.y / self.drawing.unit_m];
-            let across = |axis: usize| {
-                let relative = met[axis] / self.drawing.extent[axis];
-                4.0 * relative * (1.0 - relative)
-            };
-            z_m = self.shape_m[0] * across(0) + self.shape_m[1] * across(1);
+            let bends = Shape::bends([0, 1].map(|axis| met[axis] / self.drawing.extent[axis]));
+            z_m = self.shape_m.iter().zip(bends).map(|(coefficient, bend)| coefficient * bend).sum();
         }
         Some(met)
     }

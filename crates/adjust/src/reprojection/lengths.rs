@@ -68,9 +68,7 @@ struct MeasureWith<'a, M> {
 impl<M: CameraModel> MeasureWith<'_, M> {
     /// Returns the length in pixels of one point's residual.
     fn one(&self, point: usize) -> f64 {
-        let axes = &self.term.points.axes;
-        let bowed: f64 = (0..MAX_SHAPE).map(|j| self.shape[j] * axes[3 + j][point]).sum();
-        let in_target = Vector3::new(axes[0][point], axes[1][point], axes[2][point] + bowed);
+        let in_target = self.term.points.bent(point, &self.shape[..self.term.n_shape]);
         let in_cam = self.rotation * in_target + Vector3::from(self.translation);
         let seen = [0, 1].map(|axis| self.term.pixels[axis][point]);
         let pixel = self.model.project(self.lens, in_cam.into());
@@ -97,7 +95,7 @@ impl<M: CameraModel> WithSimd for MeasureWith<'_, M> {
         while point < lengths.len() {
             let (x, y) = (load(simd, &axes[0], point), load(simd, &axes[1], point));
             let mut z = load(simd, &axes[2], point);
-            for j in 0..MAX_SHAPE {
+            for j in 0..term.n_shape {
                 z = load(simd, &axes[3 + j], point).mul_add(zero.like(shape[j]), z);
             }
             let mut in_cam = [zero; 3];
@@ -135,15 +133,17 @@ mod tests {
     use crate::reprojection::{Layouts, TargetPoints};
 
     /// Lengths must be those of the predictions, where some points are behind the camera too.
-    fn check(model: &str, tilt_rad: f64) {
+    fn check(model: &str, shape: Shape, tilt_rad: f64) {
         let model: Model = model.parse().unwrap();
         let geometry = Geometry::Chessboard { columns: 7, rows: 3, spacing_m: 0.1 };
-        let target = Target { name: "board".to_owned(), geometry, shape: Shape::Parabolic2 };
+        let target = Target { name: "board".to_owned(), geometry, shape };
         let mut parameters = Parameters::default();
         let lens: Vec<f64> =
             (0..model.param_count()).map(|i| [500.0, 510.0, 320.0, 240.0, 0.01][i.min(4)]).collect();
         let lens = parameters.add_vector(&lens);
-        let shape = parameters.add_vector(&[2e-3, -1e-3]);
+        let coefficients_m = [2e-3, -1e-3, 3e-3, 1e-3, -2e-3, 2e-3];
+        let n_shape = shape.coefficient_count();
+        let shape = (n_shape > 0).then(|| (parameters.add_vector(&coefficients_m[..n_shape]), n_shape));
         let pose = Pose::from_rodrigues(Vector3::new(0.1, tilt_rad, 0.2), Vector3::new(-0.1, 0.05, 0.3));
         let frame = parameters.add_pose(&pose, Elimination::First);
         let observations: Vec<Observation> = (0..21)
@@ -156,7 +156,7 @@ mod tests {
         let points = Arc::new(TargetPoints::new(&target, &observations));
         let chain = Chain { links: vec![Link::Block(frame)] };
         let layouts = &Layouts::default();
-        let term = Reprojection::new(model, lens, Some((shape, 2)), chain, points, &observations, layouts);
+        let term = Reprojection::new(model, lens, shape, chain, points, &observations, layouts);
         let lengths = term.lengths(parameters.values(), &observations);
         let predictions = term.predict(parameters.values());
         assert_eq!(lengths.len(), predictions.len());
@@ -173,10 +173,12 @@ mod tests {
     #[test]
     fn lengths_are_those_of_the_predictions() {
         for model in ["opencv5", "opencv8", "pinhole", "opencv14"] {
-            check(model, 0.1);
-            check(model, 1.5);
+            check(model, Shape::Parabolic2, 0.1);
+            check(model, Shape::Parabolic2, 1.5);
         }
-        check("kannala-brandt4", 0.1);
-        check("division", 0.1);
+        for shape in Shape::ALL {
+            check("kannala-brandt4", shape, 0.1);
+            check("division", shape, 0.1);
+        }
     }
 }

@@ -13,7 +13,7 @@ mod work;
 use std::ops::Range;
 
 use boresight_camera::{CameraModel, LocalLinear, LocalSupport, ModelVisitor};
-use boresight_geometry::{Scalar, Vector3};
+use boresight_geometry::Scalar;
 use boresight_solver::gram::Previous;
 use boresight_solver::lanes::{Lanes, MAX_LANES};
 use boresight_solver::pulp::Simd;
@@ -25,7 +25,8 @@ use boresight_solver::{
 use self::gradient::SumGradient;
 use self::work::{LocalWork, done};
 use super::{
-    BLOCK, Context, FIRST_LENS_COLUMN, MAX_SHAPE, Reprojection, load, n_row_columns, write_geometry,
+    BLOCK, Context, FEW_SHAPE, FIRST_LENS_COLUMN, MAX_SHAPE, Reprojection, load, n_row_columns,
+    write_geometry,
 };
 use crate::options::Loss;
 
@@ -39,15 +40,29 @@ const FIRST_SHAPE_COLUMN: usize = FIRST_LENS_COLUMN;
 /// stay within the support.
 const MARGIN: f64 = 0.3;
 
-/// What is summed for each knot of a view: for u, the pose and the shape; for v, the same; then the
+/// Where what is summed for each knot of a view lies: for u, the pose and the shape; for v, the same; then the
 /// residuals, the focal lengths and the centre.
-const PER_KNOT: usize = 24;
-const BY_U: usize = 0;
-const BY_V: usize = 8;
-const BY_SHAPE: usize = 6;
-const BY_RESIDUAL: usize = 16;
-const BY_FOCAL: usize = 18;
-const BY_CENTRE: usize = 20;
+struct KnotSums {
+    by_v: usize,
+    by_residual: usize,
+    by_focal: usize,
+    by_centre: usize,
+    /// How many there are, with room to fill registers.
+    count: usize,
+}
+
+impl KnotSums {
+    const BY_U: usize = 0;
+    const BY_SHAPE: usize = 6;
+    const MOST: usize = Self::new(MAX_SHAPE).count;
+
+    const fn new(n_shape: usize) -> Self {
+        let by_v = 6 + n_shape;
+        let by_residual = 2 * by_v;
+        let count = (by_residual + 6).next_multiple_of(MAX_LANES);
+        Self { by_v, by_residual, by_focal: by_residual + 2, by_centre: by_residual + 4, count }
+    }
+}
 
 /// Products of the weights of a cell along one axis: pairs `a <= b` of up to four, in rows.
 const PAIRS: usize = 10;
@@ -295,14 +310,9 @@ impl ModelVisitor for Touch<'_> {
         let LocalSupport { side, columns, rows } = grid.support;
         let lens = values.vector(term.blocks[0]);
         let cam_from_target = term.chain.compose(values);
-        let shape = term.shape(values);
-        let axes = &term.points.axes;
-        let bent = |i: usize| {
-            let z = axes[2][i] + shape[0] * axes[3][i] + shape[1] * axes[4][i];
-            Vector3::new(axes[0][i], axes[1][i], z)
-        };
-        for point_in_target in (0..term.points.n_points).map(bent) {
-            let point: [f64; 3] = (cam_from_target * point_in_target).into();
+        let shape = &term.shape(values)[..term.n_shape];
+        for i in 0..term.points.n_points {
+            let point: [f64; 3] = (cam_from_target * term.points.bent(i, shape)).into();
             // Where the lens is not defined, the evaluation will tell.
             let Some(linear) = model.linearize_locally(lens, point) else { continue };
             let corner = (linear.first[0] - CORE) / 2;
@@ -363,7 +373,7 @@ impl LocalWork for AccumulateLocally<'_, '_> {
         let n_columns = n_row_columns(CORE, SHAPE);
         let stride = n_columns.next_multiple_of(BLOCK);
         let room = POINTS_AT_ONCE / S::F64_LANES * stride * S::F64_LANES;
-        let n_knot_sums = rectangle.n_rows * rectangle.n_columns * PER_KNOT;
+        let n_knot_sums = rectangle.n_rows * rectangle.n_columns * const { KnotSums::new(SHAPE).count };
         let rows = &mut scratch.rows;
         rows.make_room(2 * room + n_knot_sums);
         let (u_rows, rest) = rows.split_at_mut(room);
@@ -499,8 +509,9 @@ impl<S: Simd> LocalRows<'_, S> {
     ) -> bool {
         let Self { u, v, linear, weights } = self;
         let zero = Lanes::splat(simd, 0.0);
+        let at = const { KnotSums::new(SHAPE) };
         // What a point's knots are multiplied with, as rows of a point rather than of a lane.
-        let mut factors = [[0.0; PER_KNOT]; MAX_LANES];
+        let mut factors = [[0.0; KnotSums::MOST]; MAX_LANES];
         let mut across_pairs = [[0.0; PAIR_ROOM]; MAX_LANES];
         let mut down_pairs = [[0.0; PAIRS]; MAX_LANES];
         let mut knot_weights = [[0.0; 16]; MAX_LANES];
@@ -513,16 +524,16 @@ impl<S: Simd> LocalRows<'_, S> {
         };
         for (axis, rows) in [u, v].into_iter().enumerate() {
             let row = |column: usize| Lanes::new(simd, rows[column]) * by_axis[axis];
-            let first = if axis == 0 { BY_U } else { BY_V };
+            let first = if axis == 0 { KnotSums::BY_U } else { at.by_v };
             for k in 0..6 {
                 transpose(first + k, row(FIRST_SHAPE_COLUMN + SHAPE + k));
             }
             for j in 0..SHAPE {
-                transpose(first + BY_SHAPE + j, row(FIRST_SHAPE_COLUMN + j));
+                transpose(first + KnotSums::BY_SHAPE + j, row(FIRST_SHAPE_COLUMN + j));
             }
-            transpose(BY_RESIDUAL + axis, row(FIRST_SHAPE_COLUMN + SHAPE + 6));
-            transpose(BY_FOCAL + axis, row(0));
-            transpose(BY_CENTRE + axis, row(1));
+            transpose(at.by_residual + axis, row(FIRST_SHAPE_COLUMN + SHAPE + 6));
+            transpose(at.by_focal + axis, row(0));
+            transpose(at.by_centre + axis, row(1));
         }
         // Weights along one axis are the sums over the other, where they sum to one.
         let mut across = [zero; SIDE];
@@ -560,11 +571,11 @@ impl<S: Simd> LocalRows<'_, S> {
             if below + SIDE > rectangle.n_rows || right + SIDE > rectangle.n_columns {
                 return false;
             }
-            let (factors, _) = S::as_simd_f64s(&factors[lane]);
+            let (factors, _) = S::as_simd_f64s(&factors[lane][..at.count]);
             for (k, weight) in knot_weights[lane][..SIDE * SIDE].iter().enumerate() {
                 let weight = simd.splat_f64s(*weight);
                 let knot = (below + k / SIDE) * rectangle.n_columns + right + k % SIDE;
-                let (sums, _) = S::as_mut_simd_f64s(&mut knots[knot * PER_KNOT..(knot + 1) * PER_KNOT]);
+                let (sums, _) = S::as_mut_simd_f64s(&mut knots[knot * at.count..(knot + 1) * at.count]);
                 for (sum, factor) in sums.iter_mut().zip(factors) {
                     *sum = simd.mul_add_f64s(weight, *factor, *sum);
                 }
@@ -650,10 +661,11 @@ impl ViewChain {
     ) -> bool {
         let n_support = support.len();
         let per_knot = grid.per_knot();
+        let at = KnotSums::new(grid.n_shape);
         let own = &self.links.maps()[self.eliminated];
         // Knots of the support are in the order of the rectangle.
         let mut places = support.iter().enumerate().skip(CORE).step_by(2).peekable();
-        for (idx, knot) in knots.chunks_exact(PER_KNOT).enumerate() {
+        for (idx, knot) in knots.chunks_exact(at.count).enumerate() {
             let row = rectangle.first_row + idx / rectangle.n_columns;
             let column = rectangle.first_column + idx % rectangle.n_columns;
             let number = row * grid.support.columns + column;
@@ -666,12 +678,12 @@ impl ViewChain {
             };
             let sums = &mut sums[number * per_knot..(number + 1) * per_knot];
             for (axis, sums) in sums.chunks_exact_mut(per_knot / 2).enumerate() {
-                let by_pose = if axis == 0 { &knot[BY_U..BY_V] } else { &knot[BY_V..BY_RESIDUAL] };
-                sums[0] += knot[BY_RESIDUAL + axis];
-                sums[1] += knot[BY_FOCAL + axis];
-                sums[2] += knot[BY_CENTRE + axis];
+                let by_pose = if axis == 0 { &knot[..at.by_v] } else { &knot[at.by_v..at.by_residual] };
+                sums[0] += knot[at.by_residual + axis];
+                sums[1] += knot[at.by_focal + axis];
+                sums[2] += knot[at.by_centre + axis];
                 for j in 0..grid.n_shape {
-                    sums[3 + j] += by_pose[BY_SHAPE + j];
+                    sums[3 + j] += by_pose[KnotSums::BY_SHAPE + j];
                 }
                 let mut row = [0.0; 6];
                 row.copy_from_slice(&by_pose[..6]);

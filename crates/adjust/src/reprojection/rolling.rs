@@ -74,9 +74,7 @@ impl<'a> Rolling<'a> {
     }
 
     fn place(&self, point: usize) -> Placed {
-        let axes = &self.term.points.axes;
-        let bowed: f64 = (0..MAX_SHAPE).map(|j| self.shape[j] * axes[3 + j][point]).sum();
-        let in_target = Vector3::new(axes[0][point], axes[1][point], axes[2][point] + bowed);
+        let in_target = self.term.points.bent(point, &self.shape[..self.term.n_shape]);
         let time_s = self.late_s + self.line_delay_s * self.times.rows[point];
         let moved = self.times.motion.after(time_s);
         let at_rest = self.after * in_target;

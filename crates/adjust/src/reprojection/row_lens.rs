@@ -1,16 +1,20 @@
 //! How the loop over corners comes by a lens: short formulas are part of its code, long ones are called.
 //!
 //! The loop is compiled for each lens that it contains, for each instruction set and shape. Lenses whose
-//! derivatives are dual numbers would make that code very long, and gain little.
+//! derivatives are dual numbers would make that code very long, and gain little; so would shapes of many coefficients,
+//! for which all lenses are called.
 
 use boresight_camera::{CameraModel, Model, ModelVisitor};
 use boresight_solver::lanes::{Lanes, MAX_LANES};
 use boresight_solver::pulp::{Simd, WithSimd};
 
-use super::MAX_LENS;
+use super::{FEW_SHAPE, MAX_LENS, MAX_SHAPE};
 
 /// A lens as the loop over corners sees it.
 pub(super) trait RowLens: Copy {
+    /// The largest number of shape coefficients that the loop is compiled for.
+    const MAX_SHAPE: usize;
+
     /// Returns the number of parameters, the core included.
     fn param_count(&self) -> usize;
 
@@ -30,6 +34,8 @@ pub(super) trait RowLens: Copy {
 pub(super) struct Inlined<M>(pub M);
 
 impl<M: CameraModel> RowLens for Inlined<M> {
+    const MAX_SHAPE: usize = FEW_SHAPE;
+
     #[inline(always)]
     fn param_count(&self) -> usize {
         self.0.param_count()
@@ -53,6 +59,8 @@ impl<M: CameraModel> RowLens for Inlined<M> {
 pub(super) struct Called(pub Model);
 
 impl RowLens for Called {
+    const MAX_SHAPE: usize = MAX_SHAPE;
+
     #[inline(always)]
     fn param_count(&self) -> usize {
         self.0.param_count()
@@ -110,8 +118,8 @@ impl<S: Simd> ModelVisitor for Call<'_, S> {
 
     fn visit<M: CameraModel>(self, model: M) -> bool {
         let Self { simd, params, point, answer } = self;
-        if const { M::IS_INLINED || M::IS_LOCAL } {
-            // Never asked: the one is part of the loop, the other has a loop of its own.
+        if const { M::LOCAL_SIDE.is_some() } {
+            // Never asked: it has a loop of its own.
             return false;
         }
         simd.vectorize(CallWith { model, params, point, answer })

@@ -111,7 +111,11 @@ fn mistakes_on_the_command_line_are_named() {
         (&["--model", "opencv8,right=opencv5", "--hold", "k4:right"], &["camera right (opencv5) has no"]),
         (&["--hold", "fx"], &["fx of camera left cannot be held", "--prior"]),
         (&["--share-lens", "left+middle"], &["no camera `middle`", "left, right"]),
-        (&["--shape", "3"], &["`3` is not one of: none, 2"]),
+        (&["--shape", "3"], &["`3` is not one of: none, 2, 6, auto"]),
+        (
+            &["--shape", "6", "--regularization", "mrcal-2.2"],
+            &["option shape: mrcal-2.2", "hint: take --shape 2"],
+        ),
         (&["--reject", "-1"], &["-1"]),
         (&["--loss", "huber:1"], &["huber:1", "cauchy:PX"]),
         (&["--cameras", "left,middle"], &["no camera `middle`", "left, right"]),

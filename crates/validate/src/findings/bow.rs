@@ -18,14 +18,16 @@ impl Diagnostic for Bow {
 
     const EXPLANATION: &'static str = "\
 What it means: the solved shape of the target departs from its drawing by more
-than half a millimetre. The two numbers are the deflections of the middle along
-x and along y, with the four edges at zero; a positive one points along the
-target's +z axis, away from a camera that sees the board's first corner at the
-top left.
+than half a millimetre. The first two numbers are the deflections of the middle
+along x and along y, with the four edges at zero; a positive one points along
+the target's +z axis, away from a camera that sees the board's first corner at
+the top left. Of a shape with six coefficients, the third is how far a twist
+lifts two corners and lowers the others, and the rest is what changes along the
+bends.
 
 Why it matters: the shape was part of the solution, so that the lens is not bent
 to match; a bow of half a millimetre that is not solved for costs about as much
-as the noise of the corners. The shape is a parabola, though, and the same in
+as the noise of the corners. The shape is a smooth one, though, and the same in
 all frames. A real board that is bent this far rarely is either, and what is
 left over goes into the lens.
 
@@ -46,6 +48,12 @@ match it.";
             }
             let deflections = match shape_mm.as_slice() {
                 [along_x, along_y] => format!("{along_x:.2} mm along x and {along_y:.2} mm along y"),
+                [along_x, along_y, twist, rest @ ..] => {
+                    let most = rest.iter().fold(0.0, |most: f64, mm| most.max(mm.abs()));
+                    format!(
+                        "{along_x:.2} mm along x, {along_y:.2} mm along y, {twist:.2} mm by a twist and up to {most:.2} mm beyond"
+                    )
+                }
                 _ => format!("up to {largest:.2} mm"),
             };
             Some(Found {

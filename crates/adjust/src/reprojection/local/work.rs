@@ -3,7 +3,7 @@
 use boresight_camera::{CameraModel, ModelVisitor};
 use boresight_solver::pulp::{Simd, WithSimd};
 
-use super::MAX_SHAPE;
+use super::{FEW_SHAPE, MAX_SHAPE};
 use crate::reprojection::Reprojection;
 
 /// Something done over the points of a view through a lens with local support.
@@ -36,7 +36,7 @@ impl<W: LocalWork> ModelVisitor for Visit<W> {
     type Output = W::Output;
 
     fn visit<M: CameraModel>(self, model: M) -> W::Output {
-        if const { !M::IS_LOCAL } {
+        if const { M::LOCAL_SIDE.is_none() } {
             return W::undefined();
         }
         let arch = self.0.term().arch;
@@ -55,12 +55,20 @@ impl<M: CameraModel, W: LocalWork> WithSimd for With<M, W> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> W::Output {
         let Self { model, work } = self;
-        let side = work.term().model.local_support().map_or(4, |support| support.side);
-        match (work.term().n_shape, side) {
-            (0, 3) => work.work::<M, S, 0, 3>(simd, model),
-            (0, _) => work.work::<M, S, 0, 4>(simd, model),
-            (_, 3) => work.work::<M, S, MAX_SHAPE, 3>(simd, model),
-            (_, _) => work.work::<M, S, MAX_SHAPE, 4>(simd, model),
+        // Each lens has one side, and only that is compiled.
+        if const { matches!(M::LOCAL_SIDE, Some(3)) } {
+            shaped::<M, S, W, 3>(simd, model, work)
+        } else {
+            shaped::<M, S, W, 4>(simd, model, work)
         }
+    }
+}
+
+#[inline(always)]
+fn shaped<M: CameraModel, S: Simd, W: LocalWork, const SIDE: usize>(simd: S, model: M, work: W) -> W::Output {
+    match work.term().n_shape {
+        0 => work.work::<M, S, 0, SIDE>(simd, model),
+        FEW_SHAPE => work.work::<M, S, FEW_SHAPE, SIDE>(simd, model),
+        _ => work.work::<M, S, MAX_SHAPE, SIDE>(simd, model),
     }
 }
