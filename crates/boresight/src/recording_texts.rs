@@ -51,7 +51,8 @@ pub(crate) const RECORDING_TEXTS: &[(&str, &str)] = &[
         "What it means: a topic holds images or video in a form that is not read.\n\n\
          Why it matters: its camera is absent from the calibration.\n\n\
          How to fix it: record raw, JPEG or PNG images as ROS 2, ROS 1 or Foxglove messages, or convert the recording. Video\n\
-         is compressed with losses that move corners, so images are better where accuracy counts.",
+         in H.264 is read by a program that was built with the feature h264; it is compressed with losses that move corners,\n\
+         so images are better where accuracy counts.",
     ),
     (
         "topic-without-camera",
@@ -66,6 +67,7 @@ pub(crate) const RECORDING_TEXTS: &[(&str, &str)] = &[
          Why it matters: if they show the target, their information is lost.\n\n\
          How to fix it: plain CDR is read, as ROS 2 writes it unless it is told otherwise; XCDR2 is not. Pixels are read as\n\
          grey, RGB, BGR, with or without alpha, YUV 4:2:2, NV12 and behind a Bayer filter, in 8 and, but for YUV, 16 bits; images as\n\
-         JPEG, PNG, TIFF and PNM. For anything else, convert the recording.",
+         JPEG, PNG, TIFF and PNM. A frame of a video needs the keyframe before it and all frames since. For anything else,\n\
+         convert the recording.",
     ),
 ];

@@ -77,9 +77,9 @@ fn detect_while_reading(
 }
 
 fn look_at(image: &RecordedImage, job: &RecordingJob, watch: &DetectWatch<'_>) -> SeenRecorded {
-    let seen = image.hash().and_then(|(hash, stamp_ns)| {
-        let decode = || image.decode().map(|decoded| (decoded.image, false));
-        Ok((stamp_ns, look_up_or_detect(hash, job.target(), watch, decode)?))
+    let seen = image.open().and_then(|opened| {
+        let decode = || opened.decode().map(|image| (image, false));
+        Ok((opened.stamp_ns, look_up_or_detect(opened.hash(), job.target(), watch, decode)?))
     });
     let RecordedImage { topic_idx, index, log_time_ns, .. } = *image;
     SeenRecorded { topic_idx, index, log_time_ns, seen }

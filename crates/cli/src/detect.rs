@@ -101,11 +101,13 @@ fn in_recordings(arguments: &DetectArguments, recordings: RecordingJob) -> Resul
             let Some(seen) = known.get(&(image.topic_idx, image.index)) else {
                 return ControlFlow::Continue(());
             };
-            let Ok(decoded) = image.decode() else { return ControlFlow::Continue(()) };
+            let Ok(image_seen) = image.open().and_then(|opened| opened.decode()) else {
+                return ControlFlow::Continue(());
+            };
             let topic = contents.topics.get(image.topic_idx).map_or("", |topic| topic.name.as_str());
             let name =
                 format!("{}-{:06}.png", topic.trim_matches('/').replace(['/', '\\'], "-"), image.index);
-            let written = overlay_to_png(&decoded.image, &seen.observations, columns)
+            let written = overlay_to_png(&image_seen, &seen.observations, columns)
                 .and_then(|bytes| write_files(folder, &[OutputFile { name, bytes }]));
             match written {
                 Ok(()) => ControlFlow::Continue(()),

@@ -58,7 +58,7 @@ pub fn message(bytes: &[u8]) {
 /// Reads a recording and decodes its images.
 pub fn recording(bytes: &[u8]) {
     let _ = read_recording_bytes(Cursor::new(bytes), &mut |image| {
-        let _ = image.decode();
+        let _ = image.open().map(|opened| opened.decode());
         ControlFlow::Continue(())
     });
 }
@@ -109,7 +109,7 @@ mod tests {
                 let cdr = crate::recording::image_to_cdr(7, &shown);
                 let json = br#"{"timestamp":{"sec":7,"nsec":9},"width":2,"height":1,"encoding":"mono8","step":2,"data":"AAA="}"#;
                 let protobuf = [8, 1, 0x15, 2, 0, 0, 0, 0x1d, 1, 0, 0, 0, 0x22, 5, b'm', b'o', b'n', b'o', b'8', 0x2d, 2, 0, 0, 0, 0x32, 2, 1, 2];
-                (0..12)
+                (0..13)
                     .flat_map(|kind| [&cdr[..], json, &protobuf].map(|bytes| [&[kind], bytes].concat()))
                     .collect()
             }
@@ -138,7 +138,7 @@ mod tests {
                     "recording" => {
                         let mut images = 0;
                         let count = |image: crate::RecordedImage| {
-                            images += usize::from(image.decode().is_ok());
+                            images += usize::from(image.open().is_ok_and(|opened| opened.decode().is_ok()));
                             ControlFlow::Continue(())
                         };
                         let read = read_recording_bytes(Cursor::new(&bytes), &mut { count });

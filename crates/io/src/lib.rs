@@ -75,7 +75,7 @@ pub use observations_parquet::{
 pub use planar_motions::{PlanarMotionRow, read_planar_motions};
 pub use pose_table::{PoseTable, RotationColumns, read_pose_table};
 pub use recording::{
-    CameraPair, Clock, Contents, DecodedImage, ImageTopic, Packing, RecordedImage, RecordedValue,
+    CameraPair, Clock, Contents, ImageTopic, OpenedImage, Packing, RecordedImage, RecordedValue,
     RecordingJob, RecordingOptions, RecordingWriter, SeenRecorded, StatedCamera, Survey, Topic,
     load_recordings, survey_recordings,
 };

@@ -1,7 +1,7 @@
 //! MCAP recordings: which topics there are, and the images of those that hold images, one at a time.
 //!
-//! Images of ROS 2 (CDR), ROS 1 and Foxglove (protobuf, JSON, CDR) are read, raw and compressed. Each image topic is a
-//! camera. What is damaged is left out and told.
+//! Images of ROS 2 (CDR), ROS 1 and Foxglove (protobuf, JSON, CDR) are read, raw and compressed, and video with the feature
+//! `h264`. Each image topic is a camera. What is damaged is left out and told.
 
 mod cdr;
 mod message;
@@ -14,6 +14,7 @@ mod survey;
 mod synchronise;
 #[cfg(test)]
 mod tests;
+mod video;
 mod write;
 
 use std::collections::BTreeMap;
@@ -22,7 +23,7 @@ use std::io::Read as _;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use boresight_data::GrayImage;
+use boresight_data::{GrayImage, GrayPixels};
 
 pub use message::StatedCamera;
 pub use recording_job::{Clock, RecordingJob, RecordingOptions, SeenRecorded, load_recordings};
@@ -33,13 +34,13 @@ pub(crate) use write::image_to_cdr;
 pub use write::{Packing, RecordedValue, RecordingWriter};
 
 use crate::{Error, Place};
-use message::{Content, Kind, read_camera_info, read_image_message};
+use message::{Content, Kind, Pixels, read_camera_info, read_image_message};
 use records::{ChannelRecord, Damage, Listener, MAGIC, read_counts, read_records};
 
 /// The ending of the name of a recording.
 pub(crate) const EXTENSION: &str = "mcap";
 
-/// An image of a recording as it was recorded, not yet decoded.
+/// An image of a recording as it was recorded, not yet decoded unless it is a frame of a video.
 #[derive(Clone, Debug)]
 pub struct RecordedImage {
     /// Its topic, as an index into [`Contents::topics`].
@@ -48,37 +49,69 @@ pub struct RecordedImage {
     pub index: usize,
     /// When it was recorded, in nanoseconds.
     pub log_time_ns: i64,
-    kind: Kind,
-    bytes: Vec<u8>,
+    held: Held,
 }
 
-/// An image of a recording.
-#[derive(Clone, Debug, PartialEq)]
-pub struct DecodedImage {
-    /// Its grey values.
-    pub image: GrayImage,
+/// What is there of an image.
+#[derive(Clone, Debug)]
+enum Held {
+    Message {
+        kind: Kind,
+        bytes: Vec<u8>,
+    },
+    Frame {
+        stamp_ns: i64,
+        image: GrayImage,
+    },
+    /// Nothing, and why.
+    Lost(String),
+}
+
+/// The message of an image, read once: its pixels are where they were.
+#[derive(Clone, Debug)]
+pub struct OpenedImage<'a> {
     /// When it was taken, as its message says, in nanoseconds.
     pub stamp_ns: i64,
+    pixels: Pixels<'a>,
 }
 
 impl RecordedImage {
     /// Returns how many bytes it holds.
     pub fn bytes(&self) -> usize {
-        self.bytes.len()
+        match &self.held {
+            Held::Message { bytes, .. } => bytes.len(),
+            Held::Frame { image, .. } => match image.pixels() {
+                GrayPixels::Eight(values) => values.len(),
+                GrayPixels::Sixteen(values) => 2 * values.len(),
+            },
+            Held::Lost(why) => why.len(),
+        }
     }
 
-    /// Returns the hash of all that decides its grey values, in hexadecimal, and when it was taken in nanoseconds; or why
-    /// it cannot be read.
-    pub fn hash(&self) -> Result<(String, i64), String> {
-        let message = read_image_message(self.kind, &self.bytes).map_err(|error| error.to_string())?;
-        Ok((message.pixels.hash(), message.stamp_ns))
+    /// Reads its message, or returns why it cannot be read.
+    pub fn open(&self) -> Result<OpenedImage<'_>, String> {
+        match &self.held {
+            Held::Message { kind, bytes } => {
+                let message = read_image_message(*kind, bytes).map_err(|error| error.to_string())?;
+                Ok(OpenedImage { stamp_ns: message.stamp_ns, pixels: message.pixels })
+            }
+            Held::Frame { stamp_ns, image } => {
+                Ok(OpenedImage { stamp_ns: *stamp_ns, pixels: Pixels::Decoded(image) })
+            }
+            Held::Lost(why) => Err(why.clone()),
+        }
+    }
+}
+
+impl OpenedImage<'_> {
+    /// Returns the hash of all that decides its grey values, in hexadecimal.
+    pub fn hash(&self) -> String {
+        self.pixels.hash()
     }
 
-    /// Returns the image, or why it cannot be had.
-    pub fn decode(&self) -> Result<DecodedImage, String> {
-        let message = read_image_message(self.kind, &self.bytes).map_err(|error| error.to_string())?;
-        let image = message.pixels.decode().map_err(|error| error.to_string())?;
-        Ok(DecodedImage { image, stamp_ns: message.stamp_ns })
+    /// Returns its grey values, or why they cannot be had.
+    pub fn decode(&self) -> Result<GrayImage, String> {
+        self.pixels.decode().map_err(|error| error.to_string())
     }
 }
 
@@ -101,9 +134,12 @@ pub struct Topic {
 impl Topic {
     /// Tells whether its messages are images that are read.
     pub fn is_of_images(&self) -> bool {
-        self.kind.is_some_and(|kind| {
-            kind.is_read() && matches!(kind.content, Content::RawImage | Content::CompressedImage)
-        })
+        self.kind.is_some_and(|kind| kind.is_read() && kind.content != Content::CameraInfo)
+    }
+
+    /// Tells whether its messages are video, and written in a way that would be read with the feature `h264`.
+    pub(crate) fn is_video(&self) -> bool {
+        self.kind.is_some_and(|kind| kind.is_video())
     }
 
     /// Tells whether its messages are images or video that are not read.
@@ -209,6 +245,7 @@ pub(crate) fn read_any_message(kind: u8, bytes: &[u8]) {
         ("foxglove.CompressedImage", "json"),
         ("foxglove.CameraCalibration", "json"),
         ("foxglove_msgs/msg/RawImage", "cdr"),
+        ("foxglove.CompressedVideo", "protobuf"),
     ];
     let (schema, encoding) = kinds[usize::from(kind) % kinds.len()];
     if let Some(kind) = Kind::of_channel(schema, encoding) {
@@ -322,6 +359,11 @@ impl Listener for Gatherer<'_> {
         let log_time_ns = i64::try_from(log_time_ns).unwrap_or(i64::MAX);
         // Messages are counted before they are read, so that one that is too large leaves its place.
         let index = topic.messages - 1;
-        (self.deliver)(RecordedImage { topic_idx, index, log_time_ns, kind, bytes: data })
+        (self.deliver)(RecordedImage {
+            topic_idx,
+            index,
+            log_time_ns,
+            held: Held::Message { kind, bytes: data },
+        })
     }
 }

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use base64::Engine as _;
-use boresight_data::GrayImage;
+use boresight_data::{GrayImage, GrayPixels};
 use serde::Deserialize;
 
 use super::cdr::{Layout, Values};
@@ -63,7 +63,7 @@ pub(crate) enum Content {
     RawImage,
     CompressedImage,
     CameraInfo,
-    /// Video, which is known and not read.
+    /// A frame of a video, which is read with the feature `h264`.
     Video,
 }
 
@@ -118,9 +118,14 @@ impl Kind {
         Some(Self { content, family, wire })
     }
 
+    /// Tells whether messages are frames of a video, and written in a way that is known.
+    pub(crate) fn is_video(self) -> bool {
+        self.wire.is_some() && self.content == Content::Video
+    }
+
     /// Tells whether messages are written in a way that is read.
     pub(crate) fn is_read(self) -> bool {
-        self.wire.is_some() && self.content != Content::Video
+        self.wire.is_some() && (self.content != Content::Video || cfg!(feature = "h264"))
     }
 }
 
@@ -141,6 +146,8 @@ pub(crate) enum Pixels<'a> {
         format: Cow<'a, str>,
         bytes: Cow<'a, [u8]>,
     },
+    /// The frame of a video, which is decoded already.
+    Decoded(&'a GrayImage),
 }
 
 /// What a message says of a camera.
@@ -161,6 +168,7 @@ impl Pixels<'_> {
     pub(crate) fn decode(&self) -> Result<GrayImage, MessageError> {
         match self {
             Pixels::Raw(raw) => gray_of_raw(raw),
+            Pixels::Decoded(image) => Ok((*image).clone()),
             Pixels::File { format, bytes } => match image_from_bytes("the message", bytes) {
                 Ok(read) => Ok(read.image),
                 Err(crate::Error::Image { why, .. }) => {
@@ -175,6 +183,7 @@ impl Pixels<'_> {
     pub(crate) fn stated_size(&self) -> Option<[u32; 2]> {
         match self {
             Pixels::Raw(raw) => Some([raw.width, raw.height]),
+            Pixels::Decoded(image) => Some(image.size()),
             Pixels::File { .. } => None,
         }
     }
@@ -184,6 +193,7 @@ impl Pixels<'_> {
         match self {
             Pixels::Raw(raw) => &raw.encoding,
             Pixels::File { format, .. } => format,
+            Pixels::Decoded(_) => "decoded",
         }
     }
 
@@ -198,6 +208,16 @@ impl Pixels<'_> {
             }
             Pixels::File { bytes, .. } => {
                 hasher.update(bytes);
+            }
+            Pixels::Decoded(image) => {
+                let [width, height] = image.size();
+                hasher.update(format!("decoded {width} {height} ").as_bytes());
+                match image.pixels() {
+                    GrayPixels::Eight(values) => hasher.update(values),
+                    GrayPixels::Sixteen(values) => {
+                        values.iter().fold(&mut hasher, |hasher, value| hasher.update(&value.to_le_bytes()))
+                    }
+                };
             }
         }
         hasher.finalize().to_hex().to_string()
@@ -264,6 +284,8 @@ fn read_protobuf(content: Content, bytes: &[u8]) -> Result<ImageMessage<'_>, Mes
             (Content::RawImage, 6) => raw.data = Cow::Borrowed(value.bytes()),
             (Content::CompressedImage, 2) => file = value.bytes(),
             (Content::CompressedImage, 3) => format = value.text("format")?,
+            (Content::Video, 3) => file = value.bytes(),
+            (Content::Video, 4) => format = value.text("format")?,
             _ => {}
         }
     }

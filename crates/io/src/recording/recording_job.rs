@@ -9,6 +9,7 @@ use boresight_data::{Finding, Severity, Target};
 use super::names::assign_topics;
 use super::survey::{contents_findings, time_findings};
 use super::synchronise::{Shot, frames_of, usual_tolerance_ns};
+use super::video::Videos;
 use super::{Contents, EXTENSION, RecordedImage, Topic, read_recordings, read_topics};
 use crate::image_job::{Findings, SeenImage, finish};
 use crate::image_names::Listed;
@@ -101,8 +102,9 @@ impl RecordingJob {
         let told = read_topics(&self.files)?.unwrap_or_default();
         let skipped: BTreeSet<_> = unused(&told).into_iter().map(|idx| key(&told.topics[idx])).collect();
         let mut flow = ControlFlow::Continue(());
+        let mut videos = Videos::default();
         let mut handed = |image| {
-            flow = deliver(image);
+            flow = deliver(videos.decoded(image));
             flow
         };
         let contents = read_recordings(&self.files, &|topic| !skipped.contains(&key(topic)), &mut handed)?;
@@ -115,7 +117,9 @@ impl RecordingJob {
             .filter(|key| skipped.contains(key))
             .collect();
         if flow.is_continue() && !missed.is_empty() {
-            read_recordings(&self.files, &|topic| missed.contains(&key(topic)), deliver)?;
+            let mut videos = Videos::default();
+            let mut handed = |image| deliver(videos.decoded(image));
+            read_recordings(&self.files, &|topic| missed.contains(&key(topic)), &mut handed)?;
         }
         Ok(contents)
     }
@@ -328,7 +332,7 @@ pub(crate) fn unused_topic(topic: &str) -> Finding {
     }
 }
 
-/// Keeps one topic of each camera: the raw images before compressed ones, and notes the others.
+/// Keeps one topic of each camera: the raw images before compressed ones and these before video, and notes the others.
 ///
 /// Topics of one name are of one camera, such as those of several recordings.
 fn one_topic_per_camera(
@@ -339,8 +343,9 @@ fn one_topic_per_camera(
     let mut chosen: BTreeMap<String, usize> = BTreeMap::new();
     let rank = |idx: usize| {
         let topic = &contents.topics[idx];
-        let is_compressed = topic.schema.ends_with("CompressedImage");
-        (is_compressed, topic.name.len(), topic.name.clone())
+        let kinds = ["CompressedImage", "CompressedVideo"];
+        let lossy = kinds.iter().position(|kind| topic.schema.ends_with(kind)).map_or(0, |place| place + 1);
+        (lossy, topic.name.len(), topic.name.clone())
     };
     for (idx, camera) in camera_of.iter() {
         let best = chosen.entry(camera.clone()).or_insert(*idx);

@@ -6,7 +6,6 @@ use std::path::PathBuf;
 
 use boresight_data::{Finding, Severity};
 
-use super::message::read_image_message;
 use super::names::{assign_topics, cameras_of_topics};
 use super::recording_job::unused_topic;
 use super::records::Damage;
@@ -74,7 +73,7 @@ pub fn survey_recordings(
     let mut gathered: BTreeMap<usize, Gathered> = BTreeMap::new();
     let mut look = |image: super::RecordedImage| {
         let gathered = gathered.entry(image.topic_idx).or_default();
-        match read_image_message(image.kind, &image.bytes) {
+        match image.open() {
             Ok(message) => {
                 let encoding = message.pixels.encoding();
                 if !gathered.encodings.iter().any(|known| known == encoding) && gathered.encodings.len() < 16
@@ -86,7 +85,7 @@ pub fn survey_recordings(
                 gathered.stamps_ns.push(message.stamp_ns);
                 gathered.log_times_ns.push(image.log_time_ns);
             }
-            Err(error) => gathered.unreadable.get_or_insert_with(|| (0, error.to_string())).0 += 1,
+            Err(why) => gathered.unreadable.get_or_insert((0, why)).0 += 1,
         }
         ControlFlow::Continue(())
     };
@@ -238,8 +237,15 @@ pub(crate) fn contents_findings(contents: &Contents) -> Vec<Finding> {
         }
     }
     for topic in contents.topics.iter().filter(|topic| topic.is_unread()) {
-        let message = format!("images as {} in {} are not read", topic.schema, topic.encoding);
-        let fix = "record images as ROS 2 (cdr), ROS 1 or Foxglove (protobuf, json) messages, not as video";
+        let (what, fix) = if topic.is_video() {
+            (
+                ": this program was built without the feature h264",
+                "build it with `cargo build --release --features h264`, which takes a C++ compiler; or record images",
+            )
+        } else {
+            ("", "record images as ROS 2 (cdr), ROS 1 or Foxglove (protobuf, json) messages")
+        };
+        let message = format!("images as {} in {} are not read{what}", topic.schema, topic.encoding);
         note("topic-not-read", Severity::Note, &topic.name, message, topic.messages, fix);
     }
     findings
