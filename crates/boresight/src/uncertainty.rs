@@ -22,8 +22,6 @@ pub struct UncertaintyOptions {
     pub method: Method,
     /// What counts as known.
     pub propagation: Propagation,
-    /// The sigma of a corner as the input stated it, in pixels, for the noise of a measurement; 1 unless told.
-    pub corner_sigma_px: f64,
 }
 
 impl Default for UncertaintyOptions {
@@ -34,7 +32,6 @@ impl Default for UncertaintyOptions {
             grid: [60, 40],
             method: Method::default(),
             propagation: Propagation::default(),
-            corner_sigma_px: 1.0,
         }
     }
 }
@@ -103,14 +100,7 @@ pub fn uncertainty(
     for (i, &from) in chosen.iter().enumerate() {
         for &to in &chosen[i + 1..] {
             for distance in options.distances_m.iter().flatten() {
-                let sigma = options.corner_sigma_px;
-                pairs.extend(stereo_uncertainty(
-                    calibration,
-                    [from, to],
-                    *distance,
-                    sigma,
-                    options.propagation,
-                )?);
+                pairs.extend(stereo_uncertainty(calibration, [from, to], *distance, options.propagation)?);
             }
         }
     }

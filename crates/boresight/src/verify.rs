@@ -31,8 +31,8 @@ pub struct Verification {
     /// The root of the mean squared distance of a corner from its prediction, with the mean taken over
     /// degrees of freedom, in pixels.
     pub rms_px: f64,
-    /// `sqrt(chi² / degrees of freedom)` here over that of the calibration. One is perfect, if
-    /// both state the sigmas of their corners alike.
+    /// `rms_px` over what the calibration's own residuals are by the same measure, its cameras weighed as they are
+    /// judged here. One is perfect.
     pub ratio: f64,
     /// How well one camera's view of the target predicts what the others see; `None` for a single camera.
     pub transfer: Option<Transfer>,
@@ -92,7 +92,13 @@ pub fn verify(
     let transfer = (n > 0).then(|| Transfer { observations: n, rms_px: rms(px2), rms_mm: 1e3 * rms(m2) });
     let in_sample: BTreeMap<&str, f64> =
         calibration.cameras.iter().map(|camera| (camera.name.as_str(), camera.rms_px)).collect();
-    let ratio = (met.solve.chi2 / freedom as f64).sqrt() / calibration.uncertainty.noise_factor;
+    let judged = |name: &str| {
+        let of_camera = met.cameras.iter().find(|camera| camera.name == name);
+        of_camera.map_or(0, |camera| camera.observations)
+    };
+    let rms_px = met.rms_px * (2.0 * observations as f64 / freedom as f64).sqrt();
+    // In pixels: corners of photographs and of files may state sigmas that are worlds apart.
+    let ratio = rms_px / (2.0f64.sqrt() * calibration.corner_sigma_px(|fit| judged(&fit.name)));
     Ok(Verification {
         cameras: met
             .cameras
@@ -111,7 +117,7 @@ pub fn verify(
         rejected,
         left_out: met.rejected.len() - rejected,
         degrees_of_freedom: freedom,
-        rms_px: met.rms_px * (2.0 * observations as f64 / freedom as f64).sqrt(),
+        rms_px,
         ratio,
         transfer,
         is_within: ratio <= limit_ratio,

@@ -44,7 +44,6 @@ pub(crate) fn run(arguments: &UncertaintyArguments) -> Result<ExitCode, Failure>
         } else {
             Propagation::WithBeliefs
         },
-        ..defaults
     };
     let report = boresight::uncertainty(&calibration, &options)?;
     match arguments.format {

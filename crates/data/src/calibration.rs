@@ -35,6 +35,22 @@ pub struct Calibration {
     pub provenance: Provenance,
 }
 
+impl Calibration {
+    /// Returns the standard deviation of a corner along either axis as the residuals have it, in pixels: with what the
+    /// unknowns absorbed, and whatever sigmas were stated. Cameras count by `observations`, those of the data at hand.
+    pub fn corner_sigma_px(&self, observations: impl Fn(&CameraFit) -> usize) -> f64 {
+        let fits = || self.cameras.iter().filter(|fit| fit.observations > 0);
+        let (mut squares, mut n) = (0.0, 0);
+        for fit in fits() {
+            squares += observations(fit) as f64 * fit.rms_px * fit.rms_px;
+            n += observations(fit);
+        }
+        let rows = 2 * fits().map(|fit| fit.observations).sum::<usize>();
+        let widened = rows as f64 / self.uncertainty.degrees_of_freedom.max(1) as f64;
+        (0.5 * squares / n.max(1) as f64 * widened).sqrt()
+    }
+}
+
 /// How well one camera's observations are met.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CameraFit {

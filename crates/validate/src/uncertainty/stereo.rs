@@ -51,7 +51,6 @@ pub fn stereo_uncertainty(
     calibration: &Calibration,
     [from, to]: [CameraId; 2],
     distance_m: f64,
-    corner_sigma_px: f64,
     propagation: Propagation,
 ) -> Result<Option<StereoUncertainty>, Error> {
     check_distance(Some(distance_m))?;
@@ -63,13 +62,14 @@ pub fn stereo_uncertainty(
     let gradients = Gradients { eyes: [&from_eye, &to_eye], n: places.len() };
 
     let grid = Grid { image_size: from_eye.camera.image_size, columns: COLUMNS, rows: ROWS };
+    let corner_sigma_px = calibration.corner_sigma_px(|fit| fit.observations);
     let (mut by_calibration, mut by_noise) = (Vec::new(), Vec::new());
     for i in 0..grid.len() {
         let Some(ray) = from_eye.camera.unproject(grid.pixel(i)) else { continue };
         let point_in_rig = from_eye.cam_from_rig.inverse() * (ray * distance_m);
         let Some((by_parameter, by_pixel)) = gradients.of_distance(&point_in_rig) else { continue };
         by_calibration.push((by_parameter.transpose() * &covariance * &by_parameter)[0].max(0.0).sqrt());
-        by_noise.push(by_pixel.norm() * corner_sigma_px * calibration.uncertainty.noise_factor);
+        by_noise.push(by_pixel.norm() * corner_sigma_px);
     }
     let Some(median) = quantile(by_calibration.iter().copied(), 0.5) else { return Ok(None) };
     let (baseline, by_parameter) = gradients.of_baseline();
