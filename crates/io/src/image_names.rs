@@ -60,15 +60,17 @@ fn named(halves: Vec<(String, String)>, frame: impl Fn(&str) -> String) -> Vec<T
 
 /// Turns the rest of each name into a frame's name.
 fn with_frames(halves: Vec<(String, String)>) -> Vec<Taken> {
-    let by_numbers = named(halves.clone(), |rest| numbers(rest).join("-"));
-    let distinct: BTreeSet<&Taken> = by_numbers.iter().collect();
-    if distinct.len() == by_numbers.len() && by_numbers.iter().all(|taken| !taken.frame.is_empty()) {
-        return by_numbers;
-    }
-    named(halves, |rest| {
+    let whole = |rest: &str| {
         let trimmed = without_extension(rest).trim_matches(|c| "-_./ ".contains(c));
         if trimmed.is_empty() { rest.to_owned() } else { trimmed.to_owned() }
-    })
+    };
+    // An image without a number, such as a picture of the rig, is no reason to pair the others otherwise.
+    let by_numbers = named(halves.clone(), |rest| {
+        let number = numbers(rest).join("-");
+        if number.is_empty() { whole(rest) } else { number }
+    });
+    let distinct: BTreeSet<&Taken> = by_numbers.iter().collect();
+    if distinct.len() == by_numbers.len() { by_numbers } else { named(halves, whole) }
 }
 
 fn by_pattern(images: &[&str], listed: &[Listed]) -> Result<Vec<Option<Taken>>, String> {
