@@ -208,7 +208,8 @@ impl Fit {
         let residual = n_lens + 6;
         let gram = &self.sum.gram;
         // Scaled to a unit diagonal: focal lengths and coefficients differ by many orders of magnitude.
-        let scale = DVector::from_fn(n, |i, _| gram[i][i].sqrt().max(f64::MIN_POSITIVE));
+        // What nothing depends on yet stays where it is.
+        let scale = DVector::from_fn(n, |i, _| if gram[i][i] > 0.0 { gram[i][i].sqrt() } else { 1.0 });
         let mut normal = DMatrix::from_fn(n, n, |i, j| gram[i.min(j)][i.max(j)] / (scale[i] * scale[j]));
         for i in 0..n {
             normal[(i, i)] += damping;
