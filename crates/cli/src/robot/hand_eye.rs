@@ -240,6 +240,7 @@ fn poses(result: &HandEyeOutcome) -> String {
         rows.push(cells);
     }
     let mut text = aligned(&rows);
+    text.push_str("position and orientation (Rodrigues vector)\n");
     let [_, _, _, x, y, z] = result.jackknife;
     if x.is_finite() {
         text.push_str(&format!(
