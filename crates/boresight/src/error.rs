@@ -158,6 +158,14 @@ pub enum Error {
         /// Which convention fits, if one does.
         finding: Option<Box<boresight_data::Finding>>,
     },
+    /// No adjustment begins from where the robot's poses put the cameras.
+    #[error("the robot's poses do not go with what the cameras saw: {why}")]
+    PosesMisfit {
+        /// What the adjustment says.
+        why: boresight_adjust::Error,
+        /// Which reading of the poses fits better, if one does.
+        finding: Option<Box<boresight_data::Finding>>,
+    },
     /// No closed form places rig and target on the robot.
     #[error("no closed form places camera and target on the robot from {poses} poses")]
     NoClosedForm {
@@ -241,6 +249,7 @@ impl Error {
             | Error::UnpairedJoints { .. } => ErrorKind::Input,
             Error::Degenerate(_)
             | Error::NoClosedForm { .. }
+            | Error::PosesMisfit { .. }
             | Error::PoseFit(_)
             | Error::Joints(_)
             | Error::Cancelled => ErrorKind::Solve,
@@ -274,6 +283,12 @@ impl Error {
             Error::UnreadablePoses { finding, .. } => Some(match finding {
                 Some(finding) => format!("{}. {}", finding.message, finding.fix),
                 None => "`boresight robot poses` tries all conventions".to_owned(),
+            }),
+            Error::PosesMisfit { finding, .. } => Some(match finding {
+                Some(finding) => format!("{}. {}", finding.message, finding.fix),
+                None => "are they in the stated convention and units, and each in the row of its own frame? \
+                         `boresight robot poses` tries all conventions"
+                    .to_owned(),
             }),
             Error::Unpaired { .. } => {
                 text("give each row of both a time (column time_s), or as many rows of one as of the other")

@@ -144,7 +144,10 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     exact.robot_touches = robot.touches.as_ref().map(|touches| touched(touches, factor));
     let mut seed = first.calibration.scene.clone();
     seed.robot = Some(Robot::mounted(mounting, hand_eye.carrier_from_rig, hand_eye.other_from_target));
-    let seed = optimize(&dataset, &seed, &exact)?.scene;
+    let misread = findings.iter().find(|finding| finding.code == "robot-poses-read");
+    let seed = optimize(&dataset, &seed, &exact)
+        .map_err(|why| Error::PosesMisfit { why, finding: misread.cloned().map(Box::new) })?
+        .scene;
 
     let mut methods =
         compare::closed_forms(&dataset, &first.calibration.scene, mounting, &frames, robot.axes);
