@@ -199,6 +199,12 @@ fn lens_models(
             (Some((_, model)), _) => model,
             // It was chosen with the first that shares it.
             (None, Some(first)) if *first < id => models[first.index()],
+            // It will be left out, whatever its lens.
+            (None, _)
+                if !dataset.views.iter().any(|view| view.camera == id || sharers.contains(&view.camera)) =>
+            {
+                Model::OpenCv5(Default::default())
+            }
             (None, _) => {
                 let selection = choose_lens(dataset, &sharers, terms)?;
                 let model = selection.model;
