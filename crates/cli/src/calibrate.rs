@@ -24,8 +24,10 @@ pub(crate) const DETECTIONS_FILE: &str = "detections.json";
 pub(crate) fn run(arguments: &CalibrateArguments) -> Result<ExitCode, Failure> {
     let begin = Instant::now();
     if arguments.output.is_file() {
-        let message =
-            format!("{} is a file, and results are written into a folder", arguments.output.display());
+        let message = format!(
+            "{} cannot be written: it is a file, and results take a folder",
+            arguments.output.display()
+        );
         return Err(Failure::new(Reason::CannotWrite, message).with_hint("name another folder with -o"));
     }
     let detections = arguments.output.join(DETECTIONS_FILE);
