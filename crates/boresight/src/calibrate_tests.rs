@@ -116,7 +116,9 @@ fn a_twisted_board_is_recovered_and_does_not_bend_the_lens() {
     for (j, (found, truth)) in found_m.iter().zip(TWISTED_M).enumerate() {
         let sigma = crate::sigma_of(&outcome.calibration, &format!("board.shape{j}_m")).unwrap();
         println!("shape{j}: {:.2} sigmas of {:.1} um", (found - truth) / sigma, 1e6 * sigma);
-        assert!((found - truth).abs() <= 3.0 * sigma && sigma < 3e-5, "{j}: {found} {truth} {sigma}");
+        // What is not known to a tenth of the twist would be within its sigmas by saying nothing.
+        let is_known = sigma < 0.1 * TWISTED_M[2];
+        assert!((found - truth).abs() <= 3.0 * sigma && is_known, "{j}: {found} {truth} {sigma}");
     }
     // What two coefficients leave is measured.
     let (two, _) = calibrated("2");
