@@ -1,6 +1,8 @@
 //! Sigmas and projection uncertainty against the scatter of noisy re-draws: one camera, two, four, and a
 //! splined lens.
 
+use std::time::Instant;
+
 use boresight_adjust::{AdjustOptions, Hold, Rejection, adjust};
 use boresight_camera::Camera;
 use boresight_data::{Calibration, CameraId, Dataset, Scene};
@@ -132,8 +134,13 @@ fn measure(recipe: Recipe, draws: u64, n_held: usize) -> Ratios {
     let synthetic = simulate(&Recipe { sigma_px: SIGMA_PX, ..recipe }, 7);
     let held = synthetic.truth.rig.cameras.ids();
     let held = held.flat_map(|camera| (0..n_held).map(move |param| Hold::LensParam(camera, param)));
-    let options =
-        AdjustOptions { rejection: Rejection::None, holds: held.collect(), ..AdjustOptions::default() };
+    let options = AdjustOptions {
+        rejection: Rejection::None,
+        holds: held.collect(),
+        // One in some hundred searches over splines takes more steps than are usual.
+        max_iterations: 2000,
+        ..AdjustOptions::default()
+    };
     let cameras: Vec<CameraId> = synthetic.truth.rig.cameras.ids().collect();
     let methods = [Method::MeanFrame, Method::CrossReprojection];
     let pixels = |camera: CameraId| -> Vec<[f64; 2]> {
@@ -149,9 +156,13 @@ fn measure(recipe: Recipe, draws: u64, n_held: usize) -> Ratios {
     // By method, camera and pixel: the stated worst variances, and what was projected.
     let mut stated_px2 = vec![0.0; 2 * cameras.len() * GRID[0] * GRID[1]];
     let mut projections: Vec<Vec<[f64; 2]>> = vec![Vec::new(); stated_px2.len()];
+    let (begin, mut n_evaluations) = (Instant::now(), 0);
     for draw in 0..draws {
         let calibration = adjust(&redraw(&synthetic, draw), &synthetic.truth, &options, None).unwrap();
-        assert!(calibration.solve.converged && calibration.uncertainty.unavailable.is_none());
+        let solve = &calibration.solve;
+        n_evaluations += solve.evaluations;
+        let unavailable = &calibration.uncertainty.unavailable;
+        assert!(solve.converged && unavailable.is_none(), "draw {draw}: {solve:?} {unavailable:?}");
         let n = calibration.uncertainty.names.len();
         stated.resize(n, 0.0);
         for (i, sum) in stated.iter_mut().enumerate() {
@@ -175,6 +186,11 @@ fn measure(recipe: Recipe, draws: u64, n_held: usize) -> Ratios {
         }
     }
     let n_draws = draws as f64;
+    println!(
+        "{draws} draws: each {:.1} ms, {:.1} evaluations",
+        1e3 * begin.elapsed().as_secs_f64() / n_draws,
+        n_evaluations as f64 / n_draws
+    );
     let mean = |values: &mut dyn Iterator<Item = f64>| values.sum::<f64>() / n_draws;
     assert_eq!(samples[0].len(), stated.len());
     // Knots are believed to be zero with a sigma of one, in units of the noise as all sigmas are.
@@ -246,13 +262,30 @@ fn splined() -> Recipe {
     recipe
 }
 
-/// Heavy: `cargo test --release -p boresight-tests --test golden scatter -- --ignored --nocapture`.
+// Heavy: `cargo test --release -p boresight-tests --test golden scatter -- --ignored --nocapture`. From 5000 draws a
+// scatter is known to 1 %, from 500 to 3.2 %.
+
 #[test]
-#[ignore = "500 solves of each of four rigs; run in release"]
-fn uncertainty_is_the_scatter_of_500_draws() {
-    check("mono", Recipe::mono(), 500);
-    check("stereo", Recipe::stereo(), 500);
-    check("four cameras", Recipe::ring(4), 500);
+#[ignore = "5000 solves; run in release"]
+fn a_cameras_uncertainty_is_the_scatter_of_5000_draws() {
+    check("mono", Recipe::mono(), 5000);
+}
+
+#[test]
+#[ignore = "5000 solves; run in release"]
+fn a_pairs_uncertainty_is_the_scatter_of_5000_draws() {
+    check("stereo", Recipe::stereo(), 5000);
+}
+
+#[test]
+#[ignore = "5000 solves; run in release"]
+fn the_uncertainty_of_four_cameras_is_the_scatter_of_5000_draws() {
+    check("four cameras", Recipe::ring(4), 5000);
+}
+
+#[test]
+#[ignore = "500 solves; run in release"]
+fn a_splines_uncertainty_is_the_scatter_of_500_draws() {
     // The core of a spline trades against its knots, so it is held.
     check_with_held("splined", splined(), 500, 4);
 }
