@@ -76,6 +76,15 @@ const OF_INPUT: &[(&str, &str)] = &[
          plenty, the board is another than declared: count inner corners, and check that rows and columns are not exchanged.",
     ),
     (
+        "other-board-size",
+        "What it means: in several images a whole board is seen, all its rim around it, that has another number of inner\n\
+         corners than was declared.\n\n\
+         Why it matters: where the rim is hidden or unclear, a part of the real board looks like a part of the declared one,\n\
+         and its corners may be labelled by the wrong end. Such views contradict each other by whole squares.\n\n\
+         How to fix it: count the inner corners, where four squares meet, along a row and along a column, and declare those.\n\
+         If another board was in sight, take it away or cover it.",
+    ),
+    (
         "pixels-outside-image",
         "What it means: some corners lie outside the image by more than a tenth of its size.\n\n\
          Why it matters: corners are detected inside the image, so image_size, or the camera that the corners\n\

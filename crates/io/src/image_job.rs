@@ -272,7 +272,8 @@ impl Findings<'_> {
         }
     }
 
-    /// Notes in how many images of each camera the target was not detected, and the commonest reason.
+    /// Notes in how many images of each camera the target was not detected and why. Whole boards of another size, in
+    /// several images, say that the target is another than declared.
     fn note_missed(&mut self, views: &[(SeenImage, SeenView)]) {
         let mut of_camera: BTreeMap<&str, BTreeMap<&str, Vec<&str>>> = BTreeMap::new();
         for (seen, view) in views {
@@ -284,6 +285,15 @@ impl Findings<'_> {
         for (camera, reasons) in of_camera {
             for (reason, images) in reasons {
                 let message = format!("{reason}, in {} of its images: {}", images.len(), some_of(&images));
+                let is_other = |(seen, _): &(SeenImage, SeenView)| {
+                    seen.other_size.is_some() && seen.missed.as_deref() == Some(reason)
+                };
+                if images.len() >= OTHER_SIZE_IMAGES && views.iter().any(is_other) {
+                    let fix = "count the inner corners and declare them; in other images a part may have been taken for \
+                               the declared board, and be labelled wrongly";
+                    self.push("other-board-size", Severity::Caution, camera, message, images.len(), fix);
+                    continue;
+                }
                 let fix = "look at them with `boresight detect`; images without the target do no harm";
                 self.push("target-not-detected", Severity::Note, camera, message, images.len(), fix);
             }
@@ -330,6 +340,9 @@ impl Findings<'_> {
         self.all
     }
 }
+
+/// So many images with a whole board of one other size are no accident of detection.
+const OTHER_SIZE_IMAGES: usize = 2;
 
 /// Lists the first few names.
 fn some_of(names: &[&str]) -> String {
@@ -425,6 +438,23 @@ mod tests {
         let finding = job.findings.iter().find(|finding| finding.code == "legacy-charuco").unwrap();
         assert_eq!((finding.measured, finding.severity), (Some(2.0), Severity::Note));
         assert!(finding.message.contains("legacy pattern") && finding.message.ends_with("2.png, 3.png"));
+    }
+
+    #[test]
+    fn boards_of_another_size_among_others_are_a_caution() {
+        let (_folder, images) = job(&["1.png", "2.png", "3.png", "4.png"], &[]);
+        let missed = |hash: &str, other_size| {
+            let missed = Some("the board has 9x6 inner corners".to_owned());
+            seen(hash, [64, 48], 0).map(|seen| SeenImage { other_size, missed, ..seen })
+        };
+        let told = |second| {
+            let made =
+                vec![missed("a", Some([9, 6])), second, seen("c", [64, 48], 6), seen("d", [64, 48], 6)];
+            let findings = images.clone().with_detections(made).unwrap().findings;
+            findings.into_iter().map(|finding| (finding.code, finding.severity)).collect::<Vec<_>>()
+        };
+        assert_eq!(told(missed("b", Some([9, 6]))), [("other-board-size".to_owned(), Severity::Caution)]);
+        assert_eq!(told(seen("b", [64, 48], 6)), [("target-not-detected".to_owned(), Severity::Note)]);
     }
 
     #[test]

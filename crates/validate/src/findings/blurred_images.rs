@@ -10,11 +10,11 @@ use super::example::Example;
 use super::{Diagnostic, Found, count};
 
 /// A view whose sigma is this many times that of its camera's middle view is blurred.
-const TIMES: f64 = 3.0;
+const TIMES: f64 = 2.0;
 /// Views below this sigma are sharp enough, however sharp others are, in pixels.
-const SHARP_PX: f64 = 0.1;
+const SHARP_PX: f64 = 0.02;
 /// The sigma of a camera's middle view above which all of it is blurred, in pixels.
-const CAUTION_ABOVE_PX: f64 = 0.3;
+const CAUTION_ABOVE_PX: f64 = 0.15;
 /// Sigmas that an image tells all differ; with no more different ones than this they were stated.
 const STATED_SIGMAS: usize = 8;
 /// As many images are named.
@@ -28,14 +28,15 @@ impl Diagnostic for BlurredImages {
 
     const EXPLANATION: &'static str = "\
 What it means: the sigma of a corner is told by the image around it: blur, noise
-and little light make it larger. In the views named it is at least three times
-that of the camera's middle view; or that of the middle view itself is above
-0.3 px, and all of the camera's images are blurred, noisy or dark.
+and little light make it larger. In the views named it is more than twice that
+of the camera's middle view; or that of the middle view itself is above 0.15 px,
+where 0.01 to 0.04 px are usual: all of the camera's images are blurred, noisy
+or dark.
 
 Why it matters: corners are weighed by their sigmas, so a blurred image spoils
 little, but tells little too. Blur by motion is worse than its sigma says: it
-moves all corners of a view in one direction, and with a rolling shutter it bends
-the board. If all images are blurred, the focus or the exposure is wrong.
+moves all corners of a view in one direction, and with a rolling shutter it
+bends the board. If all images are blurred, the focus or the exposure is wrong.
 
 How to fix it: hold the board still or put it down, give more light, shorten the
 exposure, and focus at the distance of use before calibrating; never change the

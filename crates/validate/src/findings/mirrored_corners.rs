@@ -33,7 +33,7 @@ from the top of the board's front, so that the first row is above the second.";
 
     fn find(case: &Case) -> Vec<Found> {
         let mut found = Vec::new();
-        for (id, name, _) in case.cameras() {
+        for (id, info) in case.dataset.cameras.enumerate() {
             let views = case.dataset.views.iter().filter(|view| view.camera == id);
             let told = views.filter_map(|view| Some((view, is_mirrored(view, case.target(view)?)?)));
             let told: Vec<(&View, bool)> = told.collect();
@@ -46,7 +46,7 @@ from the top of the board's front, so that the first row is above the second.";
                 });
             found.push(Found {
                 severity: if others_are_not { Severity::Fail } else { Severity::Note },
-                place: name.to_owned(),
+                place: info.name.clone(),
                 message: format!(
                     "in {} of {} the corners run the other way round than on the target, such as {}; {}",
                     mirrored.len(),
