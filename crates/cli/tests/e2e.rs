@@ -8,6 +8,8 @@ mod bad_inputs;
 mod begin;
 #[path = "e2e/calibrate.rs"]
 mod calibrate;
+#[path = "e2e/doctor.rs"]
+mod doctor;
 #[path = "e2e/hand_eye.rs"]
 mod hand_eye;
 #[path = "e2e/images.rs"]
