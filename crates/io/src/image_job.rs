@@ -442,15 +442,15 @@ mod tests {
 
     #[test]
     fn boards_of_another_size_among_others_are_a_caution() {
-        let (_folder, images) = job(&["1.png", "2.png", "3.png", "4.png"], &[]);
         let missed = |hash: &str, other_size| {
             let missed = Some("the board has 9x6 inner corners".to_owned());
             seen(hash, [64, 48], 0).map(|seen| SeenImage { other_size, missed, ..seen })
         };
         let told = |second| {
+            let (_folder, images) = job(&["1.png", "2.png", "3.png", "4.png"], &[]);
             let made =
                 vec![missed("a", Some([9, 6])), second, seen("c", [64, 48], 6), seen("d", [64, 48], 6)];
-            let findings = images.clone().with_detections(made).unwrap().findings;
+            let findings = images.with_detections(made).unwrap().findings;
             findings.into_iter().map(|finding| (finding.code, finding.severity)).collect::<Vec<_>>()
         };
         assert_eq!(told(missed("b", Some([9, 6]))), [("other-board-size".to_owned(), Severity::Caution)]);
