@@ -210,7 +210,7 @@ mod tests {
     #[test]
     fn boards_that_are_all_parallel_are_told() {
         let mut recipe = Recipe { frames: 40, ..Recipe::mono() };
-        recipe.placement = Placement { tilt_rad: 0.01, image_share: 0.9, ..recipe.placement };
+        recipe.placement = Placement { tilt_rad: 0.02, image_share: 0.1, ..recipe.placement };
         let found = examine(&job(simulate(&recipe, 3).dataset), &CalibrateOptions::default()).unwrap();
         let codes: Vec<&str> = found.findings.iter().map(|finding| finding.code.as_str()).collect();
         assert!(codes.contains(&"little-tilt"), "{:?}", found.findings);
