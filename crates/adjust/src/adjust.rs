@@ -97,7 +97,8 @@ fn settled(
     match options.rejection {
         Rejection::None => {
             rig.views.iter_mut().for_each(|(_, term)| term.set_loss(options.loss));
-            passes.solve(&mut rig, &solve_options(options, options.decrease_below, true))?;
+            let exact = solve_options(options, options.decrease_below, true);
+            passes.solve(&mut rig, &SolveOptions { slow_end: SlowEnd::Learn, ..exact })?;
         }
         Rejection::Beyond { sigmas } => {
             let lengths = lengths(dataset, &rig);
