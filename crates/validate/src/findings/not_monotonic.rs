@@ -1,7 +1,7 @@
 //! A lens that folds back inside the image.
 
 use boresight_camera::Camera;
-use boresight_data::Severity;
+use boresight_data::{CameraId, Severity};
 
 use super::case::Case;
 #[cfg(test)]
@@ -10,6 +10,9 @@ use super::{Diagnostic, Found};
 
 /// A lens that reaches this far off axis may leave the corners of the image black.
 const FISHEYE_DEG: f64 = 85.0;
+
+/// A circular fisheye ends where it folds back: corners are seen up to this share of the angle there.
+const RIM_SHARE: f64 = 0.9;
 
 /// A lens that folds back inside the image.
 pub(super) struct NotMonotonic;
@@ -27,8 +30,9 @@ Why it matters: no real lens does that. A polynomial was fitted where there were
 corners and runs away where there were none. Undistorting an image leaves holes
 or folds there, and points outside the field of view are projected into the
 image. The residuals do not show it. For a fisheye that sees beyond 85 degrees
-it is a caution only, as long as the fold is in the corners: they may be black,
-and then nothing is lost.
+it is a caution only, as long as the fold is in the corners, or targets were seen
+up to nine tenths of its angle: what is beyond may be black, and then nothing is
+lost.
 
 How to fix it: take views with the board in the corners of the image, so that
 the data reach as far as the lens. Otherwise take a lens model with fewer
@@ -36,7 +40,7 @@ coefficients (opencv5 and not opencv8, opencv4 and not opencv5), regularise, or,
 for lenses beyond 100 degrees, take a fisheye model.";
 
     fn find(case: &Case) -> Vec<Found> {
-        let found = case.cameras().filter_map(|(_, name, placed)| {
+        let found = case.cameras().filter_map(|(id, name, placed)| {
             let camera = &placed.camera;
             let [right, bottom] = camera.image_size.map(|size| f64::from(size) - 1.0);
             let corners = [
@@ -54,9 +58,11 @@ for lenses beyond 100 degrees, take a fisheye model.";
             let edges = [[0.5 * right, 0.0], [0.5 * right, bottom], [0.0, 0.5 * bottom], [right, 0.5 * bottom]];
             let sees_edges = edges.into_iter().all(|edge| camera.unproject(edge).is_some());
             let is_fisheye = limit_deg.is_some_and(|limit| limit >= FISHEYE_DEG);
+            let is_seen_to = |limit| farthest_deg(case, id, camera).is_some_and(|far| far >= RIM_SHARE * limit);
+            let ends_there = sees_edges || limit_deg.is_some_and(is_seen_to);
             let at = limit_deg.map_or(String::new(), |limit| format!(", {limit:.1} degrees off axis"));
             Some(Found {
-                severity: if is_fisheye && sees_edges { Severity::Caution } else { Severity::Fail },
+                severity: if is_fisheye && ends_there { Severity::Caution } else { Severity::Fail },
                 place: name.to_owned(),
                 message: format!(
                     "the lens folds back at {:.0} % of the way from the middle to the {corner_name} corner{at}",
@@ -88,8 +94,30 @@ for lenses beyond 100 degrees, take a fisheye model.";
         narrow.lens(0).params[..2].copy_from_slice(&[400.0, 400.0]);
         let mut wide = fisheye.clone();
         wide.lens(0).params[..2].copy_from_slice(&[800.0, 800.0]);
-        vec![(common, Severity::Fail), (narrow, Severity::Fail), (wide, Severity::Caution)]
+        // The same lens, where all corners lie inside its circle and some near its rim.
+        let mut circular = narrow.clone();
+        let lens = circular.lens(0).clone();
+        for observation in circular.dataset.views.iter_mut().flat_map(|view| &mut view.observations) {
+            let [x, y] = [0, 1].map(|axis| observation.pixel[axis] - lens.params[2 + axis]);
+            let shrink = (436.0 / x.hypot(y)).min(1.0);
+            observation.pixel = [lens.params[2] + shrink * x, lens.params[3] + shrink * y];
+        }
+        vec![
+            (common, Severity::Fail),
+            (narrow, Severity::Fail),
+            (wide, Severity::Caution),
+            (circular, Severity::Caution),
+        ]
     }
+}
+
+/// Returns how far off axis a camera saw corners that are used, in degrees, or `None` if one lies beyond the fold.
+fn farthest_deg(case: &Case, id: CameraId, camera: &Camera) -> Option<f64> {
+    let mut kept = case.used_views_of(id).flat_map(|used| case.kept(used));
+    kept.try_fold(0.0, |farthest: f64, observation| {
+        let ray = camera.unproject(observation.pixel)?;
+        Some(farthest.max(ray.xy().norm().atan2(ray.z).to_degrees()))
+    })
 }
 
 /// Returns the share of the way from the middle of the image to `corner` up to which pixels see something.
