@@ -253,13 +253,18 @@ fn regularization_information(
     rig: &RigProblem,
     places: &[(BlockId, usize)],
 ) -> (Vec<f64>, Vec<(usize, usize, f64)>) {
-    let information = |&(block, column): &(BlockId, usize)| -> f64 {
-        rig.priors.iter().map(|prior| prior.information(block, column)).sum()
-    };
-    let mut single: Vec<f64> = places.iter().map(information).collect();
-    let mut pairs = Vec::new();
     let by_place: BTreeMap<(BlockId, usize), usize> =
         places.iter().enumerate().map(|(i, &place)| (place, i)).collect();
+    let information = |(i, place): (usize, &(BlockId, usize))| -> f64 {
+        // A lens that cameras share has several names for each parameter, and counts at the last of them alone.
+        if by_place.get(place) != Some(&i) {
+            return 0.0;
+        }
+        let (block, column) = *place;
+        rig.priors.iter().map(|prior| prior.information(block, column)).sum()
+    };
+    let mut single: Vec<f64> = places.iter().enumerate().map(information).collect();
+    let mut pairs = Vec::new();
     for prior in &rig.sparse_priors {
         let [block] = *prior.blocks() else { continue };
         for ([a, b], entry) in prior.information() {

@@ -324,6 +324,25 @@ fn cameras_may_share_a_lens_and_parameters_may_be_held() {
 }
 
 #[test]
+fn the_regularization_of_a_shared_lens_counts_once() {
+    let mut recipe = Recipe::stereo();
+    recipe.cameras[1].camera = recipe.cameras[0].camera.clone();
+    let options = CalibrateOptions {
+        model: "opencv8".parse().unwrap(),
+        share_lens: vec!["cam0+cam1".to_owned()],
+        ..CalibrateOptions::default()
+    };
+    let outcome = calibrate(&job(simulate(&recipe, 9).dataset), &options, &Watch::default()).unwrap();
+    let uncertainty = &outcome.calibration.uncertainty;
+    let claimed = |name: &str| {
+        let place = uncertainty.names.iter().position(|known| known == name).unwrap();
+        uncertainty.regularization_information[place]
+    };
+    // The coefficients of a rational lens are believed to a sigma of 2.
+    assert_eq!(claimed("cam0.k4") + claimed("cam1.k4"), 0.25);
+}
+
+#[test]
 fn what_is_told_of_one_camera_is_told_of_all_that_share_its_lens() {
     let mut recipe = Recipe::stereo();
     recipe.cameras[1].camera = recipe.cameras[0].camera.clone();

@@ -96,7 +96,8 @@ pub struct Uncertainty {
     /// A camera whose place is held has none.
     pub baselines_m: BTreeMap<String, [f64; 2]>,
     /// What the regularisation claims to know of each parameter of `names`: the inverse square of its
-    /// sigma, zero where it claims nothing. Residuals in units of the stated sigma have the weight one.
+    /// sigma, zero where it claims nothing. Residuals in units of the stated sigma have the weight one. Of a lens
+    /// that cameras share it is told once, at the last camera's names.
     pub regularization_information: Vec<f64>,
     /// What it claims of two parameters together: their places in `names`, the first before the second, and the entry of
     /// the regularisation's matrix. There are such claims about the knots of a spline in mrcal's way.
