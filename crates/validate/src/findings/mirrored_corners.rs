@@ -102,6 +102,24 @@ fn is_mirrored(view: &View, target: &Target) -> Option<bool> {
     let on_board = |i: usize, j: usize| mean(&|(at, _)| (at[i] - of_board[i]) * (at[j] - of_board[j]));
     let spread = on_board(0, 0) * on_board(1, 1) - on_board(0, 1).powi(2);
     let determinant = across(0, 0) * across(1, 1) - across(0, 1) * across(1, 0);
-    let is_flat = spread <= 1e-6 * (on_board(0, 0) + on_board(1, 1)).powi(2);
-    (!is_flat && determinant != 0.0).then_some(determinant * clockwise < 0.0)
+    // Of no corners at all both are no numbers, and tell nothing.
+    let is_spread = spread > 1e-6 * (on_board(0, 0) + on_board(1, 1)).powi(2);
+    (is_spread && determinant != 0.0).then_some(determinant * clockwise < 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn views_without_corners_or_with_a_line_of_them_tell_nothing() {
+        let example = Example::mono();
+        let target = example.dataset.targets.iter().next().unwrap();
+        let view = &example.dataset.views[0];
+        assert_eq!(is_mirrored(view, target), Some(false));
+        for n in [0, 1, 2] {
+            let observations = view.observations[..n].to_vec();
+            assert_eq!(is_mirrored(&View { observations, ..view.clone() }, target), None, "{n}");
+        }
+    }
 }
