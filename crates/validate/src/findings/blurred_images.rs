@@ -8,6 +8,7 @@ use super::case::Case;
 #[cfg(test)]
 use super::example::Example;
 use super::{Diagnostic, Found, count};
+use crate::statistics::median;
 
 /// A view whose sigma is this many times that of its camera's middle view is blurred.
 const TIMES: f64 = 2.0;
@@ -101,9 +102,9 @@ focus afterwards. Images that are blurred by motion are best removed.";
     }
 }
 
-/// Returns the sigma of the middle corner of a view.
+/// Returns the median of the sigmas of a view's corners.
 fn sigma_px(view: &View) -> Option<f64> {
-    middle(view.observations.iter().map(|observation| observation.sigma_px).collect())
+    median(view.observations.iter().map(|observation| observation.sigma_px))
 }
 
 /// Returns the sigma of a camera's middle view, or `None` if its sigmas were stated and are not told by images.
@@ -113,12 +114,7 @@ pub(crate) fn middle_sigma_px(case: &Case, camera: CameraId) -> Option<f64> {
     if different.len() <= STATED_SIGMAS {
         return None;
     }
-    middle(case.used_views_of(camera).filter_map(|used| sigma_px(used.view)).collect())
-}
-
-fn middle(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
+    median(case.used_views_of(camera).filter_map(|used| sigma_px(used.view)))
 }
 
 #[cfg(test)]
