@@ -158,7 +158,10 @@ fn read_lines(file: &str, text: &str) -> Result<PoseTable, Error> {
                 let numbers: Vec<f64> = fields.iter().enumerate().map(number).collect::<Result<_, _>>()?;
                 let found = row(&numbers).ok_or_else(|| malformed(place(), numbers.len()))?;
                 let own = convention_of(&found, &numbers);
-                if own.is_some() && table.convention.is_some() && own != table.convention {
+                // Rows of another length are told below.
+                let is_as_long =
+                    table.rows.first().is_some_and(|first| first.rotation.len() == found.rotation.len());
+                if is_as_long && own.is_some() && table.convention.is_some() && own != table.convention {
                     let found =
                         "a matrix that is written the other way round than those before it".to_owned();
                     return Err(Error::Malformed { place: place(), found, need: NEED });
@@ -334,6 +337,7 @@ mod tests {
             ("x_m,y_m,z_m\n", "no column `qx`"),
             ("1 2 3\n", "p.csv:1: "),
             ("1 2 3 4 5 6\n1 2 3 4 5 6 7\n", "p.csv:2: "),
+            ("1 0 0 7 0 1 0 8 0 0 1 9 0 0 0 1\n1 2 3 0 0 0 1\n", "7 numbers"),
             ("1 2 3 4 5 nan\n", "p.csv:1: "),
             ("x_m,y_m,z_m,qx,qy,qz,qw\n1,2\n", "p.csv:2: the line has 2 columns"),
         ] {
