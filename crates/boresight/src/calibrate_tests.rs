@@ -6,18 +6,6 @@ use boresight_validate::{CompareOptions, compare};
 
 use super::*;
 
-fn job(dataset: Dataset) -> Job {
-    Job {
-        dataset,
-        options: Default::default(),
-        options_place: None,
-        inputs: Vec::new(),
-        findings: Vec::new(),
-        robot: None,
-        known_lenses: Vec::new(),
-    }
-}
-
 fn options(model: &str, shape: &str) -> CalibrateOptions {
     CalibrateOptions {
         model: model.parse().unwrap(),
@@ -50,7 +38,7 @@ fn a_bowed_board_does_not_bend_the_lens_where_its_shape_is_estimated() {
     let truth = &made.truth.rig.cameras[CameraId(0)].as_ref().unwrap().camera;
     let calibrated = |choice: &str| {
         let options = options("kannala-brandt4", choice);
-        let outcome = calibrate(&job(made.dataset.clone()), &options, &Watch::default()).unwrap();
+        let outcome = calibrate(&Job::from(made.dataset.clone()), &options, &Watch::default()).unwrap();
         let lens = outcome.calibration.scene.rig.cameras[CameraId(0)].as_ref().unwrap().camera.clone();
         let difference = compare(truth, &lens, &CompareOptions::default()).unwrap();
         println!(
@@ -72,15 +60,16 @@ fn a_bowed_board_does_not_bend_the_lens_where_its_shape_is_estimated() {
 fn trials_keep_to_what_is_held_and_known_and_end_when_they_are_stopped() {
     let made = simulate(&Recipe { frames: 10, ..Recipe::mono() }, 21);
     let lens = made.truth.rig.cameras[CameraId(0)].as_ref().unwrap().camera.clone();
-    let stated = Job { known_lenses: vec![("cam0".to_owned(), lens.clone())], ..job(made.dataset.clone()) };
+    let stated =
+        Job { known_lenses: vec![("cam0".to_owned(), lens.clone())], ..Job::from(made.dataset.clone()) };
     let outcome = calibrate(&stated, &options("auto", "auto"), &Watch::default()).unwrap();
     assert!(outcome.lenses.is_empty() && outcome.shape.is_some_and(|shape| shape.shape == Shape::Parabolic2));
     let cancel = Arc::new(AtomicBool::new(true));
     let watch = Watch { cancel: Some(cancel), observer: None };
-    let stopped = calibrate(&job(made.dataset.clone()), &options("auto", "2"), &watch).unwrap_err();
+    let stopped = calibrate(&Job::from(made.dataset.clone()), &options("auto", "2"), &watch).unwrap_err();
     assert!(matches!(stopped, Error::Cancelled), "{stopped}");
     // Points that bend in no known way have no shape to be tried.
-    let mut points = job(made.dataset);
+    let mut points = Job::from(made.dataset);
     for target in points.dataset.targets.iter_mut() {
         let at = |i: usize| target.drawn_point(boresight_data::PointId::from_index(i)).into();
         target.geometry = Geometry::Points { points_m: (0..target.point_count()).map(at).collect() };
@@ -98,7 +87,7 @@ fn a_twisted_board_is_recovered_and_does_not_bend_the_lens() {
     let truth = &made.truth.rig.cameras[CameraId(0)].as_ref().unwrap().camera;
     let calibrated = |choice: &str| {
         let options = options("kannala-brandt4", choice);
-        let outcome = calibrate(&job(made.dataset.clone()), &options, &Watch::default()).unwrap();
+        let outcome = calibrate(&Job::from(made.dataset.clone()), &options, &Watch::default()).unwrap();
         let lens = outcome.calibration.scene.rig.cameras[CameraId(0)].as_ref().unwrap().camera.clone();
         let difference = compare(truth, &lens, &CompareOptions::default()).unwrap();
         println!(
@@ -134,7 +123,7 @@ fn shapes_of_many_boards_are_told() {
         let chosen = (1..=10).map(|seed| {
             let made = wide_by(shape_m.clone(), seed);
             let options = options("kannala-brandt4", "auto");
-            let outcome = calibrate(&job(made.dataset), &options, &Watch::default()).unwrap();
+            let outcome = calibrate(&Job::from(made.dataset), &options, &Watch::default()).unwrap();
             outcome.shape.unwrap().shape.coefficient_count()
         });
         let chosen: Vec<usize> = chosen.collect();
@@ -149,7 +138,7 @@ fn shapes_of_many_boards_are_told() {
 fn a_flat_board_needs_no_shape() {
     let made = wide(vec![0.0, 0.0]);
     let options = options("kannala-brandt4", "auto");
-    let outcome = calibrate(&job(made.dataset), &options, &Watch::default()).unwrap();
+    let outcome = calibrate(&Job::from(made.dataset), &options, &Watch::default()).unwrap();
     let shape = outcome.shape.clone().unwrap();
     assert_eq!(shape.shape, Shape::Rigid, "{}", shape.why);
     assert_eq!(outcome.dataset.targets.as_slice()[0].shape, Shape::Rigid);
@@ -158,7 +147,7 @@ fn a_flat_board_needs_no_shape() {
 #[test]
 fn five_coefficients_on_a_wide_lens_never_look_fine() {
     let made = wide(vec![0.0, 0.0]);
-    let outcome = calibrate(&job(made.dataset), &options("opencv5", "2"), &Watch::default());
+    let outcome = calibrate(&Job::from(made.dataset), &options("opencv5", "2"), &Watch::default());
     // Either no start is found, or the verdict says that it fails.
     if let Ok(outcome) = outcome {
         assert_eq!(outcome.verdict, Verdict::Fail, "{:?}", outcome.findings);
@@ -169,19 +158,22 @@ fn five_coefficients_on_a_wide_lens_never_look_fine() {
 fn cameras_may_have_lens_models_of_their_own() {
     let made = simulate(&Recipe::stereo(), 12);
     let watch = Watch::default();
-    let outcome = calibrate(&job(made.dataset.clone()), &options("opencv5,cam1=eucm", "2"), &watch).unwrap();
+    let outcome =
+        calibrate(&Job::from(made.dataset.clone()), &options("opencv5,cam1=eucm", "2"), &watch).unwrap();
     let rig = &outcome.calibration.scene.rig.cameras;
     let names: Vec<&str> = rig.iter().map(|placed| placed.as_ref().unwrap().camera.model.name()).collect();
     assert_eq!(names, ["opencv5", "eucm"]);
     assert!(outcome.lenses.is_empty() && outcome.calibration.solve.converged);
-    let unknown = calibrate(&job(made.dataset), &options("opencv5,left=eucm", "2"), &watch).unwrap_err();
+    let unknown =
+        calibrate(&Job::from(made.dataset), &options("opencv5,left=eucm", "2"), &watch).unwrap_err();
     assert!(unknown.to_string().contains("there is no camera `left`; known: cam0, cam1"), "{unknown}");
 }
 
 #[test]
 fn a_lens_without_a_centre_is_refused_with_the_reason() {
     let made = simulate(&Recipe::mono(), 12);
-    let refused = calibrate(&job(made.dataset), &options("cahvore", "2"), &Watch::default()).unwrap_err();
+    let refused =
+        calibrate(&Job::from(made.dataset), &options("cahvore", "2"), &Watch::default()).unwrap_err();
     assert_eq!(refused.kind(), crate::ErrorKind::Usage);
     assert!(refused.to_string().contains("cahvore cannot be calibrated"), "{refused}");
     assert!(refused.hint().unwrap().contains("cahvor"), "{refused:?}");
@@ -192,12 +184,12 @@ fn an_earlier_calibration_is_a_prior_and_its_uncertainty_carries_on() {
     let (first, second) = (simulate(&recipe, 5), simulate(&Recipe { frames: 6, ..recipe }, 6));
     let watch = Watch::default();
     let plain = CalibrateOptions::default();
-    let earlier = calibrate(&job(first.dataset), &plain, &watch).unwrap();
+    let earlier = calibrate(&Job::from(first.dataset), &plain, &watch).unwrap();
     let folder = tempfile::tempdir().unwrap();
     crate::write_results(&earlier, folder.path()).unwrap();
-    let alone = calibrate(&job(second.dataset.clone()), &plain, &watch).unwrap().calibration;
+    let alone = calibrate(&Job::from(second.dataset.clone()), &plain, &watch).unwrap().calibration;
     let prior = CalibrateOptions { prior: Some(folder.path().to_owned()), ..plain.clone() };
-    let both = calibrate(&job(second.dataset.clone()), &prior, &watch).unwrap().calibration;
+    let both = calibrate(&Job::from(second.dataset.clone()), &prior, &watch).unwrap().calibration;
     let sigma = |calibration: &Calibration, name: &str| crate::sigma_of(calibration, name);
     for name in ["cam0.fx", "cam1.cx", "cam1.cam_from_rig.tz_m"] {
         let [before, few, all] = [&earlier.calibration, &alone, &both].map(|c| sigma(c, name).unwrap());
@@ -205,7 +197,7 @@ fn an_earlier_calibration_is_a_prior_and_its_uncertainty_carries_on() {
         assert!(all < 1.05 * before && all < 0.8 * few, "{name}: {before} {few} {all}");
     }
     let held = CalibrateOptions { hold: vec!["lens".parse().unwrap()], ..prior };
-    let held = calibrate(&job(second.dataset), &held, &watch).unwrap().calibration;
+    let held = calibrate(&Job::from(second.dataset), &held, &watch).unwrap().calibration;
     assert_eq!(sigma(&held, "cam0.fx"), None);
     let lens = |calibration: &Calibration| {
         calibration.scene.rig.cameras[CameraId(0)].as_ref().unwrap().camera.params.clone()
@@ -223,7 +215,7 @@ fn what_an_earlier_calibration_held_is_held_again_and_stated_lenses_stay() {
         crate::write_results(outcome, &folder.path().join(name)).unwrap();
         Some(folder.path().join(name))
     };
-    let [first, second, third] = made.map(job);
+    let [first, second, third] = made.map(Job::from);
     let plain = calibrate(&first, &CalibrateOptions::default(), &watch).unwrap();
     let prior = written(&plain, "plain");
     let hold = vec!["lens".parse().unwrap(), "pose".parse().unwrap()];
@@ -273,12 +265,12 @@ fn a_prior_weighs_as_much_where_corners_have_sigmas_of_their_own() {
         made.dataset
     };
     let (watch, plain) = (Watch::default(), CalibrateOptions::default());
-    let earlier = calibrate(&job(mixed(&recipe, 5)), &plain, &watch).unwrap();
+    let earlier = calibrate(&Job::from(mixed(&recipe, 5)), &plain, &watch).unwrap();
     let folder = tempfile::tempdir().unwrap();
     crate::write_results(&earlier, folder.path()).unwrap();
     let prior = CalibrateOptions { prior: Some(folder.path().to_owned()), ..plain };
     let few = mixed(&Recipe { frames: 4, ..recipe }, 6);
-    let both = calibrate(&job(few), &prior, &watch).unwrap().calibration;
+    let both = calibrate(&Job::from(few), &prior, &watch).unwrap().calibration;
     for name in ["cam0.fx", "cam0.cx", "cam0.k1"] {
         let [before, all] = [&earlier.calibration, &both].map(|c| crate::sigma_of(c, name).unwrap());
         // A tenth more views tell little more; the noise factors of both differ by a few percent.
@@ -296,7 +288,7 @@ fn cameras_may_share_a_lens_and_parameters_may_be_held() {
         hold: vec!["k3".parse().unwrap()],
         ..CalibrateOptions::default()
     };
-    let outcome = calibrate(&job(made.dataset), &options, &Watch::default()).unwrap();
+    let outcome = calibrate(&Job::from(made.dataset), &options, &Watch::default()).unwrap();
     let rig = &outcome.calibration.scene.rig.cameras;
     let lens = |id: u32| rig[CameraId(id)].as_ref().unwrap().camera.params.clone();
     assert_eq!(lens(0), lens(1));
@@ -311,7 +303,8 @@ fn cameras_may_share_a_lens_and_parameters_may_be_held() {
             share_lens,
             ..CalibrateOptions::default()
         };
-        let again = calibrate(&job(simulate(&recipe, 10).dataset), &options, &Watch::default()).unwrap();
+        let again =
+            calibrate(&Job::from(simulate(&recipe, 10).dataset), &options, &Watch::default()).unwrap();
         assert_eq!(again.calibration.uncertainty.unavailable, None);
     }
     // Both halves hold and share the same.
@@ -353,21 +346,22 @@ fn what_is_told_of_one_camera_is_told_of_all_that_share_its_lens() {
     };
     // A parameter of the second camera is held where it says.
     let options = CalibrateOptions { hold: vec!["k3:cam1".parse().unwrap()], ..share.clone() };
-    let held = calibrate(&job(made.dataset.clone()), &options, &Watch::default()).unwrap();
+    let held = calibrate(&Job::from(made.dataset.clone()), &options, &Watch::default()).unwrap();
     assert_eq!((lens(&held, 0).params[8], lens(&held, 1).params[8]), (0.0, 0.0));
     // A lens that is stated for the second camera is the first's too.
     let truth = recipe.cameras[0].camera.clone();
-    let stated = Job { known_lenses: vec![("cam1".to_owned(), truth.clone())], ..job(made.dataset.clone()) };
+    let stated =
+        Job { known_lenses: vec![("cam1".to_owned(), truth.clone())], ..Job::from(made.dataset.clone()) };
     let known = calibrate(&stated, &share, &Watch::default()).unwrap();
     assert_eq!((lens(&known, 0), lens(&known, 1)), (truth.clone(), truth));
     // Whatever is chosen for them is chosen once, of both cameras' views.
     let options = CalibrateOptions { model: "auto".parse().unwrap(), ..share.clone() };
-    let chosen = calibrate(&job(made.dataset.clone()), &options, &Watch::default()).unwrap();
+    let chosen = calibrate(&Job::from(made.dataset.clone()), &options, &Watch::default()).unwrap();
     assert_eq!((chosen.lenses.len(), chosen.lenses[0].camera.as_str()), (1, "cam0+cam1"));
     assert_eq!(lens(&chosen, 0), lens(&chosen, 1));
     // Models that differ are refused before anything is fitted.
     let options = CalibrateOptions { model: "opencv5,cam1=eucm".parse().unwrap(), ..share };
-    let refused = calibrate(&job(made.dataset), &options, &Watch::default()).unwrap_err();
+    let refused = calibrate(&Job::from(made.dataset), &options, &Watch::default()).unwrap_err();
     assert_eq!(refused.kind(), crate::ErrorKind::Usage);
     assert!(refused.to_string().contains("it is opencv5 for one and eucm for the other"), "{refused}");
 }

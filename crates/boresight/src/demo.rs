@@ -229,17 +229,8 @@ mod tests {
     /// Returns what a simulated recipe is calibrated to, and its truth.
     fn simulated(seed: u64) -> (Calibration, Scene) {
         let made = simulate(&Recipe { frames: 12, ..Recipe::stereo() }, seed);
-        let job = Job {
-            dataset: made.dataset,
-            options: Default::default(),
-            options_place: None,
-            inputs: Vec::new(),
-            findings: Vec::new(),
-            robot: None,
-            known_lenses: Vec::new(),
-        };
         let options = CalibrateOptions { holdout: HoldoutChoice::Off, ..CalibrateOptions::default() };
-        (calibrate(&job, &options, &Watch::default()).unwrap().calibration, made.truth)
+        (calibrate(&Job::from(made.dataset), &options, &Watch::default()).unwrap().calibration, made.truth)
     }
 
     #[test]

@@ -165,21 +165,13 @@ mod tests {
 
     use super::*;
 
-    fn job(dataset: Dataset) -> Job {
-        Job {
-            dataset,
-            options: Default::default(),
-            options_place: None,
-            inputs: Vec::new(),
-            findings: Vec::new(),
-            robot: None,
-            known_lenses: Vec::new(),
-        }
+    fn examined(dataset: Dataset) -> Examination {
+        examine(&Job::from(dataset), &CalibrateOptions::default()).unwrap()
     }
 
     #[track_caller]
     fn check(dataset: Dataset, expected: &[(&str, Severity, &str)]) -> Examination {
-        let found = examine(&job(dataset), &CalibrateOptions::default()).unwrap();
+        let found = examined(dataset);
         let codes: Vec<(&str, Severity, &str)> = (found.findings.iter())
             .map(|finding| (finding.code.as_str(), finding.severity, finding.place.as_str()))
             .collect();
@@ -211,7 +203,7 @@ mod tests {
     fn boards_that_are_all_parallel_are_told() {
         let mut recipe = Recipe { frames: 40, ..Recipe::mono() };
         recipe.placement = Placement { tilt_rad: 0.02, image_share: 0.1, ..recipe.placement };
-        let found = examine(&job(simulate(&recipe, 3).dataset), &CalibrateOptions::default()).unwrap();
+        let found = examined(simulate(&recipe, 3).dataset);
         let codes: Vec<&str> = found.findings.iter().map(|finding| finding.code.as_str()).collect();
         assert!(codes.contains(&"little-tilt"), "{:?}", found.findings);
     }
@@ -220,7 +212,7 @@ mod tests {
     fn too_few_views_are_told_although_there_is_no_start() {
         let mut dataset = simulate(&good(), 7).dataset;
         dataset.views.retain(|view| view.frame.0 < 2);
-        let found = examine(&job(dataset), &CalibrateOptions::default()).unwrap();
+        let found = examined(dataset);
         let codes: Vec<&str> = found.findings.iter().map(|finding| finding.code.as_str()).collect();
         assert!(codes.contains(&"no-start") && codes.contains(&"few-views"), "{:?}", found.findings);
         assert_eq!(found.findings[0].severity, Severity::Fail);
@@ -230,7 +222,7 @@ mod tests {
     fn cameras_that_share_no_frame_are_told() {
         let mut dataset = simulate(&good(), 7).dataset;
         dataset.views.retain(|view| view.frame.0 % 2 == view.camera.0);
-        let found = examine(&job(dataset), &CalibrateOptions::default()).unwrap();
+        let found = examined(dataset);
         let told = found.findings.iter().any(|finding| {
             ["left-out", "weak-rig-link"].contains(&finding.code.as_str())
                 && finding.severity >= Severity::Caution
@@ -247,7 +239,7 @@ mod tests {
                 .iter_mut()
                 .for_each(|observation| observation.pixel[0] = width - 1.0 - observation.pixel[0]);
         }
-        let found = examine(&job(dataset), &CalibrateOptions::default()).unwrap();
+        let found = examined(dataset);
         let first = &found.findings[0];
         let expected = ("mirrored-corners", Severity::Fail, "cam1");
         assert_eq!(
@@ -267,7 +259,7 @@ mod tests {
             let copy = dataset.views[i].observations.clone();
             dataset.views[i + 20].observations = copy;
         }
-        let found = examine(&job(dataset), &CalibrateOptions::default()).unwrap();
+        let found = examined(dataset);
         for code in ["small-board", "near-identical-frames"] {
             assert!(
                 found.findings.iter().any(|finding| finding.code == code),

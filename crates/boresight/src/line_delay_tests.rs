@@ -20,16 +20,7 @@ fn options(line_delay: &str) -> CalibrateOptions {
 }
 
 fn tried(made: &Synthetic, options: &CalibrateOptions) -> Result<Outcome, Error> {
-    let job = Job {
-        dataset: made.dataset.clone(),
-        options: Default::default(),
-        options_place: None,
-        inputs: Vec::new(),
-        findings: Vec::new(),
-        robot: None,
-        known_lenses: Vec::new(),
-    };
-    calibrate(&job, options, &Watch::default())
+    calibrate(&Job::from(made.dataset.clone()), options, &Watch::default())
 }
 
 fn calibrated(made: &Synthetic, line_delay: &str) -> Outcome {

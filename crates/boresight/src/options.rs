@@ -221,15 +221,8 @@ mod tests {
     use super::*;
 
     fn job(options: &str) -> Job {
-        Job {
-            dataset: Dataset::default(),
-            options: options.parse().unwrap(),
-            options_place: Some(Place::line("boresight.toml", 7)),
-            inputs: Vec::new(),
-            findings: Vec::new(),
-            robot: None,
-            known_lenses: Vec::new(),
-        }
+        let options_place = Some(Place::line("boresight.toml", 7));
+        Job { options: options.parse().unwrap(), options_place, ..Job::from(Dataset::default()) }
     }
 
     #[test]

@@ -18,17 +18,8 @@ fn waved(late_s: f64, frames: usize, seed: u64) -> Synthetic {
 }
 
 fn calibrated(made: &Synthetic, time_offset: TimeOffsetChoice) -> Outcome {
-    let job = Job {
-        dataset: made.dataset.clone(),
-        options: Default::default(),
-        options_place: None,
-        inputs: Vec::new(),
-        findings: Vec::new(),
-        robot: None,
-        known_lenses: Vec::new(),
-    };
     let options = CalibrateOptions { time_offset, ..CalibrateOptions::default() };
-    calibrate(&job, &options, &Watch::default()).unwrap()
+    calibrate(&Job::from(made.dataset.clone()), &options, &Watch::default()).unwrap()
 }
 
 fn found(outcome: &Outcome) -> Vec<&Finding> {

@@ -37,6 +37,21 @@ pub struct Job {
     pub known_lenses: Vec<(String, Camera)>,
 }
 
+impl From<Dataset> for Job {
+    /// Returns the job of a dataset that comes from no file: without options, inputs, robot or known lenses.
+    fn from(dataset: Dataset) -> Self {
+        Self {
+            dataset,
+            options: toml::Table::new(),
+            options_place: None,
+            inputs: Vec::new(),
+            findings: Vec::new(),
+            robot: None,
+            known_lenses: Vec::new(),
+        }
+    }
+}
+
 /// What the command line says in place of a job file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JobOverrides {

@@ -25,15 +25,7 @@ fn job_of(made: &Synthetic, mounting: Option<Mounting>) -> Job {
     let (axes, height_m, frame_times_s, touches) = (RobotAxes::Six, None, Vec::new(), None);
     let robot =
         RobotInput { mounting, rows, convention, row_of_frame, axes, height_m, frame_times_s, touches };
-    Job {
-        dataset: made.dataset.clone(),
-        options: Default::default(),
-        options_place: None,
-        inputs: Vec::new(),
-        findings: Vec::new(),
-        robot: Some(robot),
-        known_lenses: Vec::new(),
-    }
+    Job { robot: Some(robot), ..Job::from(made.dataset.clone()) }
 }
 
 /// Writes a pose as a robot of a convention would.
