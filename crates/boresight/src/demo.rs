@@ -1,10 +1,7 @@
 //! A small stereo recording with known truth, to try the program on, and what a calibration made of it.
 
 use boresight_camera::Camera;
-use boresight_data::{
-    Calibration, CameraFit, Geometry, Id as _, IdVec, Provenance, Regularization, Scene, Shape, SolveRecord,
-    Uncertainty,
-};
+use boresight_data::{Calibration, Geometry, Id as _, Scene, Shape};
 use boresight_geometry::nalgebra::{DMatrix, DVector};
 use boresight_geometry::{Matrix3, Pose, Vector3, left_jacobian_inverse};
 use boresight_io::{OutputFile, export, gray_to_png, target_spec};
@@ -96,7 +93,8 @@ pub fn demo(seed: u64) -> Result<Demo, Error> {
         };
     let images: Vec<OutputFile> = shots.par_iter().filter_map(image).collect::<Result<_, _>>()?;
     let names = recipe.cameras.iter().map(|placed| placed.name.clone());
-    let truth_files = export(&as_calibration(truth.clone(), names), "cameramodel")?;
+    let true_rig = Scene { rig: truth.rig.clone(), ..Scene::default() };
+    let truth_files = export(&Calibration::unsolved(true_rig, names, "this is the truth"), "cameramodel")?;
     let target = target_spec(&recipe.target).unwrap_or_default();
     Ok(Demo { target, images, truth_files, truth })
 }
@@ -197,29 +195,9 @@ fn scaled(camera: &Camera) -> Camera {
     scaled
 }
 
-/// Returns a truth in the form that formats write.
-fn as_calibration(truth: Scene, names: impl Iterator<Item = String>) -> Calibration {
-    Calibration {
-        scene: Scene { targets: IdVec::default(), rig_from_target: IdVec::default(), ..truth },
-        targets: IdVec::default(),
-        frame_names: Vec::new(),
-        cameras: names.map(|name| CameraFit { name, ..CameraFit::default() }).collect(),
-        views: Vec::new(),
-        rms_px: 0.0,
-        uncertainty: Uncertainty {
-            unavailable: Some("this is the truth".to_owned()),
-            ..Uncertainty::default()
-        },
-        rejected: Vec::new(),
-        regularization: Regularization::default(),
-        solve: SolveRecord::default(),
-        held_out: None,
-        provenance: Provenance::default(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use boresight_data::Uncertainty;
     use boresight_geometry::Vector6;
     use boresight_io::{Job, image_from_bytes};
 

@@ -5,8 +5,8 @@
 
 use boresight_camera::{Camera, Model};
 use boresight_data::{
-    Calibration, CameraFit, CameraId, Dataset, Finding, IdVec, Provenance, Regularization, Rejection,
-    RejectionReason, Rig, RigCamera, Scene, Severity, Shape, SolveRecord, Uncertainty, View, ViewFit,
+    Calibration, Dataset, Finding, Rejection, RejectionReason, Rig, RigCamera, Scene, Severity, Shape, View,
+    ViewFit,
 };
 use boresight_geometry::Pose;
 use boresight_io::Job;
@@ -124,7 +124,7 @@ fn without_start(dataset: &Dataset) -> Calibration {
         // Any lens that reaches the whole image will do: poses are not asked for.
         let params = vec![width, width, 0.5 * (width - 1.0), 0.5 * (height - 1.0)];
         let camera = Camera::new(Model::Pinhole(Default::default()), params, info.image_size).ok()?;
-        Some(RigCamera { camera, cam_from_rig: Pose::identity(), time_offset_s: 0.0, line_delay_s: 0.0 })
+        Some(RigCamera::new(camera, Pose::identity()))
     };
     let scene = Scene {
         rig: Rig { cameras: dataset.cameras.iter().map(camera).collect() },
@@ -138,29 +138,17 @@ fn without_start(dataset: &Dataset) -> Calibration {
 
 /// Returns a calibration in which nothing but the scene is said.
 fn shell(dataset: &Dataset, scene: Scene) -> Calibration {
-    let fit =
-        |info: &boresight_data::CameraInfo| CameraFit { name: info.name.clone(), ..CameraFit::default() };
+    let camera_names = dataset.cameras.iter().map(|info| info.name.clone());
     Calibration {
-        scene,
         targets: dataset.targets.clone(),
         frame_names: dataset.frames.iter().map(|frame| frame.name.clone()).collect(),
-        cameras: dataset.cameras.iter().map(fit).collect::<IdVec<CameraId, _>>(),
-        views: Vec::new(),
-        rms_px: 0.0,
-        uncertainty: Uncertainty {
-            unavailable: Some("nothing was solved".to_owned()),
-            ..Uncertainty::default()
-        },
-        rejected: Vec::new(),
-        regularization: Regularization::default(),
-        solve: SolveRecord::default(),
-        held_out: None,
-        provenance: Provenance::default(),
+        ..Calibration::unsolved(scene, camera_names, "nothing was solved")
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use boresight_data::CameraId;
     use boresight_synthetic::{Placement, Recipe, simulate};
 
     use super::*;

@@ -36,6 +36,26 @@ pub struct Calibration {
 }
 
 impl Calibration {
+    /// Returns a scene in the form of a calibration: with the names of its cameras, nothing that a solve would tell, and
+    /// why there is no covariance.
+    pub fn unsolved(scene: Scene, camera_names: impl IntoIterator<Item = String>, why: &str) -> Self {
+        let fit = |name| CameraFit { name, ..CameraFit::default() };
+        Self {
+            scene,
+            targets: IdVec::default(),
+            frame_names: Vec::new(),
+            cameras: camera_names.into_iter().map(fit).collect(),
+            views: Vec::new(),
+            rms_px: 0.0,
+            uncertainty: Uncertainty { unavailable: Some(why.to_owned()), ..Uncertainty::default() },
+            rejected: Vec::new(),
+            regularization: Regularization::default(),
+            solve: SolveRecord::default(),
+            held_out: None,
+            provenance: Provenance::default(),
+        }
+    }
+
     /// Returns the standard deviation of a corner along either axis as the residuals have it, in pixels: with what the
     /// unknowns absorbed, and whatever sigmas were stated. Cameras count by `observations`, those of the data at hand.
     pub fn corner_sigma_px(&self, observations: impl Fn(&CameraFit) -> usize) -> f64 {

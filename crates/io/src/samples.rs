@@ -40,20 +40,9 @@ pub(crate) fn calibration(cameras: Vec<Option<RigCamera>>) -> Calibration {
     let fits = (0..cameras.len())
         .map(|i| CameraFit { name: name(i), rms_px: 0.1 + 0.2, views: 2, observations: 9, rejected: 1 })
         .collect();
-    Calibration {
-        scene: Scene { rig: Rig { cameras: IdVec::from(cameras) }, ..Scene::default() },
-        targets: IdVec::default(),
-        frame_names: Vec::new(),
-        cameras: fits,
-        views: Vec::new(),
-        rms_px: 0.215111,
-        uncertainty: Uncertainty { unavailable: Some("not asked for".to_owned()), ..Uncertainty::default() },
-        rejected: Vec::new(),
-        regularization: Regularization::default(),
-        solve: SolveRecord::default(),
-        held_out: None,
-        provenance: Provenance::default(),
-    }
+    let scene = Scene { rig: Rig { cameras: IdVec::from(cameras) }, ..Scene::default() };
+    let unsolved = Calibration::unsolved(scene, Vec::new(), "not asked for");
+    Calibration { cameras: fits, rms_px: 0.215111, ..unsolved }
 }
 
 /// Returns a calibration with something of everything.
