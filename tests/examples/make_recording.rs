@@ -10,7 +10,6 @@ use std::io::BufWriter;
 use std::path::Path;
 use std::thread;
 
-use boresight_camera::Camera;
 use boresight_data::{GrayImage, GrayPixels, Shape};
 use boresight_io::{Packing, RecordingWriter};
 use boresight_synthetic::{Exposure, Recipe, render, simulate};
@@ -34,7 +33,7 @@ fn main() {
     recipe.shape_m = Vec::new();
     recipe.placement.image_share = 0.4;
     for placed in &mut recipe.cameras {
-        placed.camera = scaled(&placed.camera);
+        *placed = placed.scaled_to(IMAGE_SIZE);
     }
     let truth = simulate(&recipe, 7).truth;
     let exposure = Exposure { noise: 0.0, ..Exposure::default() };
@@ -72,15 +71,4 @@ fn main() {
     }
     writer.finish().unwrap();
     println!("{frame} images of each camera, {} bytes", std::fs::metadata(path).unwrap().len());
-}
-
-/// Returns a camera with its image scaled to [`IMAGE_SIZE`].
-fn scaled(camera: &Camera) -> Camera {
-    let mut scaled = Camera { image_size: IMAGE_SIZE, ..camera.clone() };
-    for (axis, (new, old)) in IMAGE_SIZE.into_iter().zip(camera.image_size).enumerate() {
-        let scale = f64::from(new) / f64::from(old);
-        scaled.params[axis] *= scale;
-        scaled.params[2 + axis] = (scaled.params[2 + axis] + 0.5) * scale - 0.5;
-    }
-    scaled
 }

@@ -1,6 +1,5 @@
 //! A small stereo recording with known truth, to try the program on, and what a calibration made of it.
 
-use boresight_camera::Camera;
 use boresight_data::{Calibration, Geometry, Id as _, Scene, Shape};
 use boresight_geometry::nalgebra::{DMatrix, DVector};
 use boresight_geometry::{Matrix3, Pose, Vector3, left_jacobian_inverse};
@@ -72,7 +71,7 @@ pub fn demo(seed: u64) -> Result<Demo, Error> {
     recipe.placement.image_share = 0.8;
     recipe.placement.distance_m = [0.4, 0.8];
     for (placed, name) in recipe.cameras.iter_mut().zip(["left", "right"]) {
-        *placed = PlacedCamera { name: name.to_owned(), camera: scaled(&placed.camera), ..placed.clone() };
+        *placed = PlacedCamera { name: name.to_owned(), ..placed.scaled_to(IMAGE_SIZE) };
     }
     let truth = simulate(&recipe, seed).truth;
     let shots: Vec<(usize, usize, Pose)> = truth
@@ -182,17 +181,6 @@ fn shown_from_perturbation(rig_from_cam: &Pose) -> [Matrix3<f64>; 2] {
     // The rotation R of rig_from_cam becomes R exp(-r), and its translation C - R t.
     let turn = -left_jacobian_inverse(&-rig_from_cam.rotation.scaled_axis());
     [turn, -rig_from_cam.rotation.to_rotation_matrix().into_inner()]
-}
-
-/// Returns a camera with its image scaled to [`IMAGE_SIZE`].
-fn scaled(camera: &Camera) -> Camera {
-    let mut scaled = Camera { image_size: IMAGE_SIZE, ..camera.clone() };
-    for (axis, (new, old)) in IMAGE_SIZE.into_iter().zip(camera.image_size).enumerate() {
-        let scale = f64::from(new) / f64::from(old);
-        scaled.params[axis] *= scale;
-        scaled.params[2 + axis] = (scaled.params[2 + axis] + 0.5) * scale - 0.5;
-    }
-    scaled
 }
 
 #[cfg(test)]

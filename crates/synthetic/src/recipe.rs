@@ -66,6 +66,22 @@ pub struct Outliers {
     pub sigma_px: f64,
 }
 
+impl PlacedCamera {
+    /// Returns the camera with an image of another size that shows the same.
+    pub fn scaled_to(&self, image_size: [u32; 2]) -> Self {
+        let mut scaled = self.clone();
+        scaled.camera.image_size = image_size;
+        let params = &mut scaled.camera.params;
+        for (axis, (new, old)) in image_size.into_iter().zip(self.camera.image_size).enumerate() {
+            let scale = f64::from(new) / f64::from(old);
+            params[axis] *= scale;
+            // Pixel (0, 0) is a centre; the image begins half a pixel before it.
+            params[2 + axis] = (params[2 + axis] + 0.5) * scale - 0.5;
+        }
+        scaled
+    }
+}
+
 impl Recipe {
     /// Returns one camera with a common lens (`opencv5`, 1600x1200, 72 by 54 degrees), 20 frames.
     pub fn mono() -> Self {
@@ -129,5 +145,22 @@ impl Recipe {
             hidden_share: 0.0,
             min_points: 12,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scaled_image_shows_the_same() {
+        let recipe = Recipe::mono();
+        let (whole, half) = (&recipe.cameras[0], recipe.cameras[0].scaled_to([800, 300]));
+        assert_eq!((half.camera.image_size, &half.name), ([800, 300], &whole.name));
+        let point = Vector3::new(0.3, -0.2, 1.0);
+        let [whole, half] = [&whole.camera, &half.camera].map(|camera| camera.project(&point).unwrap());
+        // Of the 1600x1200 pixels, 2 by 4 become one.
+        let expected = [(whole[0] + 0.5) / 2.0 - 0.5, (whole[1] + 0.5) / 4.0 - 0.5];
+        assert!((0..2).all(|axis| (half[axis] - expected[axis]).abs() < 1e-9), "{half:?} {expected:?}");
     }
 }
