@@ -2,7 +2,7 @@
 
 use boresight_geometry::Pose;
 use boresight_synthetic::{PlacedCamera, Recipe, Synthetic, simulate};
-use boresight_validate::{CompareOptions, compare};
+use boresight_validate::{CompareOptions, Comparison, compare};
 
 use super::*;
 
@@ -31,28 +31,28 @@ fn wide_by(shape_m: Vec<f64>, seed: u64) -> Synthetic {
     simulate(&recipe, seed)
 }
 
+/// Returns what a wide recording is calibrated to with a choice of shape, and how far that lens is from the truth.
+#[allow(clippy::print_stdout, reason = "a test says what it measured")]
+fn calibrated(made: &Synthetic, shape: &str) -> (Comparison, Outcome) {
+    let options = options("kannala-brandt4", shape);
+    let outcome = calibrate(&Job::from(made.dataset.clone()), &options, &Watch::default()).unwrap();
+    let [truth, found] = [&made.truth, &outcome.calibration.scene]
+        .map(|scene| &scene.rig.cameras[CameraId(0)].as_ref().unwrap().camera);
+    let difference = compare(truth, found, &CompareOptions::default()).unwrap();
+    println!("shape {shape}: lens off by {:.3} px rms, {:.3} px max", difference.rms_px, difference.max_px);
+    (difference, outcome)
+}
+
 #[test]
 #[allow(clippy::print_stdout, reason = "a test says what it measured")]
 fn a_bowed_board_does_not_bend_the_lens_where_its_shape_is_estimated() {
     let made = wide(vec![0.0005, 0.0]);
-    let truth = &made.truth.rig.cameras[CameraId(0)].as_ref().unwrap().camera;
-    let calibrated = |choice: &str| {
-        let options = options("kannala-brandt4", choice);
-        let outcome = calibrate(&Job::from(made.dataset.clone()), &options, &Watch::default()).unwrap();
-        let lens = outcome.calibration.scene.rig.cameras[CameraId(0)].as_ref().unwrap().camera.clone();
-        let difference = compare(truth, &lens, &CompareOptions::default()).unwrap();
-        println!(
-            "shape {choice}: lens off by {:.3} px rms, {:.3} px max",
-            difference.rms_px, difference.max_px
-        );
-        (difference, outcome)
-    };
-    let (with, outcome) = calibrated("auto");
+    let (with, outcome) = calibrated(&made, "auto");
     let shape = outcome.shape.clone().unwrap();
     println!("{}", shape.why);
     assert_eq!(shape.shape, Shape::Parabolic2, "{}", shape.why);
     assert!(with.rms_px <= 0.1 && with.max_px <= 0.2, "{} {}", with.rms_px, with.max_px);
-    let (without, _) = calibrated("none");
+    let (without, _) = calibrated(&made, "none");
     assert!(without.rms_px > with.rms_px, "{}", without.rms_px);
 }
 
@@ -84,19 +84,7 @@ const TWISTED_M: [f64; 6] = [3e-4, -2e-4, 5e-4, 1e-4, -2e-4, 1.5e-4];
 #[allow(clippy::print_stdout, reason = "a test says what it measured")]
 fn a_twisted_board_is_recovered_and_does_not_bend_the_lens() {
     let made = wide(TWISTED_M.to_vec());
-    let truth = &made.truth.rig.cameras[CameraId(0)].as_ref().unwrap().camera;
-    let calibrated = |choice: &str| {
-        let options = options("kannala-brandt4", choice);
-        let outcome = calibrate(&Job::from(made.dataset.clone()), &options, &Watch::default()).unwrap();
-        let lens = outcome.calibration.scene.rig.cameras[CameraId(0)].as_ref().unwrap().camera.clone();
-        let difference = compare(truth, &lens, &CompareOptions::default()).unwrap();
-        println!(
-            "shape {choice}: lens off by {:.3} px rms, {:.3} px max",
-            difference.rms_px, difference.max_px
-        );
-        (difference, outcome)
-    };
-    let (six, outcome) = calibrated("auto");
+    let (six, outcome) = calibrated(&made, "auto");
     let selection = outcome.shape.unwrap();
     println!("{}", selection.why);
     assert_eq!(selection.shape, Shape::Twisted6, "{}", selection.why);
@@ -110,7 +98,7 @@ fn a_twisted_board_is_recovered_and_does_not_bend_the_lens() {
         assert!((found - truth).abs() <= 3.0 * sigma && is_known, "{j}: {found} {truth} {sigma}");
     }
     // What two coefficients leave is measured.
-    let (two, _) = calibrated("2");
+    let (two, _) = calibrated(&made, "2");
     assert!(two.rms_px > 2.0 * six.rms_px, "{} {}", two.rms_px, six.rms_px);
 }
 
