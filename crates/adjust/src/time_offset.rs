@@ -18,6 +18,7 @@ use boresight_geometry::{Pose, Vector3, Vector6};
 use crate::adjust::adjust;
 use crate::error::Error;
 use crate::options::{AdjustOptions, Clock};
+use crate::rejection::median;
 
 /// How many frames on each side of a frame tell its motion.
 const NEIGHBOURS: usize = 2;
@@ -221,8 +222,7 @@ fn median_shift_px(
 ) -> f64 {
     let views = dataset.views.iter().filter(|view| view.camera == camera);
     let mut shifts: Vec<f64> = views.filter_map(|view| shift_px(dataset, scene, view, ends(view)?)).collect();
-    shifts.sort_by(f64::total_cmp);
-    shifts.get(shifts.len() / 2).copied().unwrap_or(0.0)
+    median(&mut shifts)
 }
 
 /// Returns a camera's offset; `None` if its sigma is not known.
@@ -310,9 +310,7 @@ fn motion(dataset: &Dataset, scene: &Scene) -> IdVec<FrameId, Option<FrameMotion
     timed.dedup_by_key(|(time_ns, ..)| *time_ns);
     let seconds = |from: usize, to: usize| timed[to].0.saturating_sub(timed[from].0) as f64 * 1e-9;
     let mut intervals: Vec<f64> = (1..timed.len()).map(|i| seconds(i - 1, i)).collect();
-    intervals.sort_by(f64::total_cmp);
-    let median_s = intervals.get(intervals.len() / 2).copied().unwrap_or(0.0);
-    let longest_s = (LONGEST_GAP * median_s).min(LONGEST_GAP_S);
+    let longest_s = (LONGEST_GAP * median(&mut intervals)).min(LONGEST_GAP_S);
     let mut motion: IdVec<FrameId, Option<FrameMotion>> = dataset.frames.ids().map(|_| None).collect();
     for (i, (_, id, pose)) in timed.iter().enumerate() {
         let is_near = |one: usize, next: usize| seconds(one, next) <= longest_s;

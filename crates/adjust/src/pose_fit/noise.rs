@@ -4,6 +4,8 @@ use std::ops::Range;
 
 use boresight_geometry::{Matrix6, Vector6};
 
+use crate::rejection::median;
+
 /// The noise of poses as their residuals tell it, in the camera's frame, rotation first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseNoise {
@@ -137,9 +139,7 @@ impl PoseNoise {
     fn spread(residuals: &[Vector6<f64>]) -> Matrix6<f64> {
         let variances = Vector6::from_fn(|i, _| {
             let mut sizes: Vec<f64> = residuals.iter().map(|residual| residual[i].abs()).collect();
-            sizes.sort_by(f64::total_cmp);
-            let median = sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
-            (median / 0.6745).powi(2) + LEAST_VARIANCE
+            (median(&mut sizes) / 0.6745).powi(2) + LEAST_VARIANCE
         });
         Matrix6::from_diagonal(&variances)
     }
