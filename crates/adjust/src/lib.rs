@@ -14,6 +14,7 @@ mod motions;
 mod object_pose;
 mod options;
 mod pose_fit;
+mod regularization;
 mod rejection;
 mod report;
 mod reprojection;
@@ -39,8 +40,8 @@ pub use options::{
     RobotNoise, Share,
 };
 pub use pose_fit::{Arm, HandEyeModel, JointModel, PoseFit, PoseFitError, PoseModel, PoseNoise};
+pub use regularization::mrcal22_rows;
 pub use reprojection::{Layouts, Reprojection, TargetPoints};
-pub use rig_problem::mrcal22_rows;
 pub use robot_noise::{EstimatedNoise, estimate_robot_noise};
 pub use robot_touch::{RobotTouch, RobotTouches};
 pub use sighted_point::{Sight, SightedPoint, SightedPointError, sighted_point};

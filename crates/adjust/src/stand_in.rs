@@ -17,7 +17,8 @@ use boresight_solver::{Belief, Counters, SolveOptions, solve};
 use crate::adjust::solve_options;
 use crate::error::Error;
 use crate::options::{AdjustOptions, Hold, Regularization, Rejection};
-use crate::rig_problem::{RigProblem, spline_regularization};
+use crate::regularization::spline_regularization;
+use crate::rig_problem::RigProblem;
 
 /// The stereographic projection, a flat surface, as coefficients of Kannala & Brandt: the series of
 /// `2 tan(θ/2)`.
