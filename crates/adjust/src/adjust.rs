@@ -97,7 +97,7 @@ fn settled(
     match options.rejection {
         Rejection::None => {
             rig.views.iter_mut().for_each(|(_, term)| term.set_loss(options.loss));
-            let exact = solve_options(options, options.decrease_below, true);
+            let exact = long_solve_options(options);
             passes.solve(&mut rig, &SolveOptions { slow_end: SlowEnd::Learn, ..exact })?;
         }
         Rejection::Beyond { sigmas } => {
@@ -126,7 +126,7 @@ pub fn optimize(dataset: &Dataset, seed: &Scene, options: &AdjustOptions) -> Res
     let mut rig = RigProblem::new(dataset, seed, options)?;
     rig.views.iter_mut().for_each(|(_, term)| term.set_loss(options.loss));
     let problem = rig.problem()?;
-    let mut solve_options = solve_options(options, options.decrease_below, true);
+    let mut solve_options = long_solve_options(options);
     if nearer.is_some() {
         solve_options.first_damping = NEARER_DAMPING;
     }
@@ -177,7 +177,7 @@ impl Passes<'_> {
             }
             let mut options = match effort {
                 Effort::Rough => self.rough(rig, share),
-                Effort::Fine => solve_options(self.options, ROBUST_DECREASE_BELOW, false),
+                Effort::Fine => solve_options(self.options, ROBUST_DECREASE_BELOW),
             };
             if pass == 0 {
                 options.first_damping = SEED_DAMPING;
@@ -244,9 +244,12 @@ impl Passes<'_> {
             let is_first_exact = !is_exact && (stands || pass + 1 == MAX_PASSES);
             is_exact |= is_first_exact;
             if is_exact {
-                let decrease_below = self.options.decrease_below;
                 // The first is the long one; those after it are other problems, which its file must not be read for.
-                let exact = solve_options(self.options, decrease_below, is_first_exact);
+                let exact = if is_first_exact {
+                    long_solve_options(self.options)
+                } else {
+                    solve_options(self.options, self.options.decrease_below)
+                };
                 let slow_end = SlowEnd::Learn;
                 self.solve(rig, &SolveOptions { first_damping: WARM_DAMPING, slow_end, ..exact })?;
             } else {
@@ -265,7 +268,7 @@ impl Passes<'_> {
     fn rough(&self, rig: &RigProblem, share: f64) -> SolveOptions {
         // In residual variances, of which there are as many as rows.
         let n_rows: usize = rig.views.iter().map(|(_, term)| term.row_count()).sum();
-        let options = solve_options(self.options, share * n_rows as f64, false);
+        let options = solve_options(self.options, share * n_rows as f64);
         SolveOptions { first_damping: WARM_DAMPING, ..options }
     }
 
@@ -281,8 +284,14 @@ impl Passes<'_> {
     }
 }
 
-/// Returns the options of one solve; only the first that is exact is worth a checkpoint.
-pub(crate) fn solve_options(options: &AdjustOptions, decrease_below: f64, is_long: bool) -> SolveOptions {
+/// Returns the options of the one solve of an adjustment that is long enough to be worth a checkpoint.
+fn long_solve_options(options: &AdjustOptions) -> SolveOptions {
+    let checkpoint = options.checkpoint.clone();
+    SolveOptions { checkpoint, ..solve_options(options, options.decrease_below) }
+}
+
+/// Returns the options of a solve without a checkpoint.
+pub(crate) fn solve_options(options: &AdjustOptions, decrease_below: f64) -> SolveOptions {
     SolveOptions {
         decrease_below,
         max_iterations: options.max_iterations,
@@ -290,7 +299,6 @@ pub(crate) fn solve_options(options: &AdjustOptions, decrease_below: f64, is_lon
         threads: options.threads,
         time_limit: options.time_limit,
         cancel: options.cancel.clone(),
-        checkpoint: options.checkpoint.clone().filter(|_| is_long),
         ..SolveOptions::default()
     }
 }

@@ -61,7 +61,7 @@ pub fn estimate_robot_noise(
         if rig.robot.readings.is_empty() {
             return Ok(None);
         }
-        let solve_options = solve_options(&options, options.decrease_below, false);
+        let solve_options = solve_options(&options, options.decrease_below);
         let solution = {
             let problem = rig.problem()?;
             solve(&problem, &solve_options).map_err(|error| named(error, &rig))?

@@ -108,7 +108,7 @@ fn solve_roughly(
     let decrease_below = DECREASE_BELOW * problem.observation_rows() as f64;
     // What a stand-in cannot follow is no reason for long steps.
     let first_damping = SolveOptions::default().first_damping;
-    let solve_options = SolveOptions { first_damping, ..solve_options(options, decrease_below, false) };
+    let solve_options = SolveOptions { first_damping, ..solve_options(options, decrease_below) };
     let solution = solve(&problem, &solve_options)?;
     Ok((rig.scene(dataset, scene, solution.values(&problem)), solution.counters))
 }
