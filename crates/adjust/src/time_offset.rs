@@ -100,7 +100,7 @@ impl Timed {
     }
 }
 
-/// Adjusts `seed` with those `wanted` times as unknowns that the data tell, from `solved`, a scene that was adjusted without.
+/// Adjusts `seed` with those `wanted` times as unknowns that the data tell, from `solved`, a calibration without.
 /// Line delays that the scene states are kept.
 ///
 /// `None` where none is told and none stated: a robot, frames without times, or too few frames close enough in time, which
@@ -108,7 +108,7 @@ impl Timed {
 pub fn adjust_times(
     dataset: &Dataset,
     seed: &Scene,
-    solved: &Scene,
+    solved: &Calibration,
     wanted: &[Clock],
     options: &AdjustOptions,
 ) -> Result<Option<Timed>, Error> {
@@ -116,12 +116,14 @@ pub fn adjust_times(
         return Ok(None);
     }
     // Without offsets, frames of a fast target may have been left out; they have their seed's poses.
-    let mut scene = solved.clone();
+    let mut scene = solved.scene.clone();
     for (pose, seeded) in scene.rig_from_target.iter_mut().zip(&seed.rig_from_target) {
         *pose = pose.or(*seeded);
     }
     scene.motion = motion(dataset, &scene);
-    let clocks = told(dataset, &scene, wanted);
+    // What is not modelled yet makes residuals larger than noise, but nothing makes them smaller.
+    let noise_factor = solved.uncertainty.noise_factor.min(1.0);
+    let clocks = told(dataset, &scene, noise_factor, wanted);
     let is_stated = |camera: &boresight_data::RigCamera| camera.line_delay_s != 0.0;
     if clocks.is_empty() && !scene.rig.cameras.iter().flatten().any(is_stated) {
         return Ok(None);
@@ -176,8 +178,8 @@ pub fn views_in_motion(dataset: &Dataset, scene: &Scene, camera: CameraId) -> us
     dataset.views.iter().filter(|view| view.camera == camera && motion[view.frame].is_some()).count()
 }
 
-/// Returns those of the wanted times that the data can tell.
-fn told(dataset: &Dataset, scene: &Scene, wanted: &[Clock]) -> Vec<Clock> {
+/// Returns those of the wanted times that the data can tell, whose noise is so many times what corners state.
+fn told(dataset: &Dataset, scene: &Scene, noise_factor: f64, wanted: &[Clock]) -> Vec<Clock> {
     let in_step = told_cameras(dataset, scene);
     let is_told = |clock: &&Clock| match **clock {
         Clock::Offset(camera) => in_step.contains(&camera),
@@ -185,14 +187,15 @@ fn told(dataset: &Dataset, scene: &Scene, wanted: &[Clock]) -> Vec<Clock> {
             let is_moving = |view: &&View| view.camera == camera && scene.motion[view.frame].is_some();
             scene.rig.cameras[camera].is_some()
                 && dataset.views.iter().filter(is_moving).count() >= LEAST_FRAMES
-                && line_delay_information(dataset, scene, camera) > LOOSEST_READOUT_S.powi(-2)
+                && line_delay_information(dataset, scene, camera) > (noise_factor / LOOSEST_READOUT_S).powi(2)
         }
     };
     wanted.iter().filter(is_told).copied().collect()
 }
 
 /// Returns at most how much a camera's views tell of the time from its first to its last row, in s⁻²: what they would if
-/// all corners were in the last row, and all else were known.
+/// all corners were in the last row, half that time after the middle one, with the noise that they state, and all else
+/// were known.
 fn line_delay_information(dataset: &Dataset, scene: &Scene, camera: CameraId) -> f64 {
     let information = |view: &View| {
         let cam_from_rig = scene.rig.cameras[camera].as_ref()?.cam_from_rig;
@@ -200,7 +203,7 @@ fn line_delay_information(dataset: &Dataset, scene: &Scene, camera: CameraId) ->
         let ends = [0.0, LOOSEST_READOUT_S].map(|time_s| motion.after(time_s) * rig_from_target);
         let rate_px =
             shift_px(dataset, scene, view, ends.map(|pose| cam_from_rig * pose))? / LOOSEST_READOUT_S;
-        Some(view.observations.iter().map(|seen| (rate_px / seen.sigma_px).powi(2)).sum::<f64>())
+        Some(view.observations.iter().map(|seen| (0.5 * rate_px / seen.sigma_px).powi(2)).sum::<f64>())
     };
     dataset.views.iter().filter(|view| view.camera == camera).filter_map(information).sum()
 }

@@ -107,7 +107,7 @@ pub(crate) fn look(
     let mut times = Times::default();
     let states_delay = seed.rig.cameras.iter().flatten().any(|camera| camera.line_delay_s != 0.0);
     if !asked.is_empty() || states_delay {
-        let timed = adjust_times(dataset, seed, &held.scene, &asked, &options)?;
+        let timed = adjust_times(dataset, seed, held, &asked, &options)?;
         // Where rows have times of their own there is no way back to those that have not: that it did not converge is told.
         let has_delays = states_delay || asked.iter().any(|clock| matches!(clock, Clock::LineDelay(_)));
         let timed = timed.filter(|timed| has_delays || timed.calibration.solve.converged);
@@ -125,7 +125,7 @@ pub(crate) fn look(
         }
     }
     // What was not asked for is looked for all the same; if rows cannot be told, perhaps cameras can.
-    let start = times.calibration.as_ref().map_or(&held.scene, |calibration| &calibration.scene);
+    let start = times.calibration.as_ref().unwrap_or(held);
     let offsets_alone: Vec<Clock> =
         others.iter().filter(|clock| matches!(clock, Clock::Offset(_))).copied().collect();
     let mut attempts = vec![&others, &offsets_alone];
