@@ -130,7 +130,9 @@ pub fn adjust_times(
     }
     let options = AdjustOptions { clocks: clocks.clone(), ..options.clone() };
     let mut before = (vec![0.0; clocks.len()], f64::INFINITY);
-    for round in 1.. {
+    let mut rounds = 0;
+    loop {
+        rounds += 1;
         let calibration = adjust(dataset, &scene, &options, None)?;
         let rms_px = calibration.rms_px;
         let (mut offsets, mut line_delays) = (Vec::new(), Vec::new());
@@ -159,7 +161,7 @@ pub fn adjust_times(
             && (!clocks.is_empty() || (before.1 - rms_px).abs() < SETTLED_RMS * rms_px);
         // Delays that are not told may be anything, and nothing can start from there.
         let are_told = are_known && line_delays.iter().all(LineDelay::is_told);
-        if is_settled || round == MAX_ROUNDS || !are_told {
+        if is_settled || rounds == MAX_ROUNDS || !are_told {
             return Ok(Some(Timed { calibration, offsets, line_delays }));
         }
         before = (times_s, rms_px);
@@ -169,7 +171,6 @@ pub fn adjust_times(
         }
         scene.motion = motion(dataset, &scene);
     }
-    Ok(None)
 }
 
 /// Returns how many views of a camera are of a frame whose motion `scene` tells.
