@@ -16,12 +16,10 @@ impl Reprojection {
         let mut lengths = match &self.row_times {
             None => self.model.visit(Measure { term: self, values }),
             Some(times) => {
-                let predictions = self.predict_rolling(times, values).into_iter().zip(observations);
-                let length =
-                    |([u, v], seen): ([f64; 2], &Observation)| (u - seen.pixel[0]).hypot(v - seen.pixel[1]);
-                let lengths = predictions
-                    .map(|(pixel, seen)| pixel.map_or(f64::INFINITY, |pixel| length((pixel, seen))));
-                lengths.collect()
+                let length = |(pixel, seen): (Option<[f64; 2]>, &Observation)| {
+                    pixel.map_or(f64::INFINITY, |[u, v]| (u - seen.pixel[0]).hypot(v - seen.pixel[1]))
+                };
+                self.predict_rolling(times, values).into_iter().zip(observations).map(length).collect()
             }
         };
         lengths.truncate(observations.len());
