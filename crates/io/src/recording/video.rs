@@ -31,6 +31,7 @@ impl Videos {
                 return Err("it is no video".to_owned());
             };
             let stream = self.0.entry(image.topic_idx).or_default();
+            stream.note(image.index);
             Ok((message.stamp_ns, stream.frame(format, bytes)?))
         });
         let held = match frame {
@@ -46,6 +47,8 @@ impl Videos {
 struct Stream {
     decoder: Option<decoder::Decoder>,
     state: State,
+    /// The index of the message that follows the last one.
+    next_index: usize,
 }
 
 /// What is known of the frames so far.
@@ -61,6 +64,14 @@ enum State {
 }
 
 impl Stream {
+    /// Takes note of which message comes next: those before it that were too large or could not be read are missing.
+    fn note(&mut self, index: usize) {
+        if index != self.next_index && self.state == State::Whole {
+            self.state = State::Broken;
+        }
+        self.next_index = index + 1;
+    }
+
     /// Decodes the next frame.
     fn frame(&mut self, format: &str, bytes: &[u8]) -> Result<GrayImage, String> {
         if format != "h264" {
@@ -154,5 +165,23 @@ mod decoder {
         pub(super) fn frame(&mut self, _: &[u8]) -> Result<Option<GrayImage>, String> {
             match *self {}
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_message_that_is_missing_breaks_the_video() {
+        let mut stream = Stream { state: State::Whole, ..Stream::default() };
+        for (index, expected) in [(0, State::Whole), (1, State::Whole), (3, State::Broken)] {
+            stream.note(index);
+            assert_eq!(stream.state, expected, "{index}");
+        }
+        // What comes before the first frame is not missed.
+        let mut stream = Stream::default();
+        stream.note(5);
+        assert_eq!(stream.state, State::Begin);
     }
 }
