@@ -100,16 +100,7 @@ impl Term for PosePrior {
             residual[k] *= inverse_sigma;
             jacobian.row_mut(k).scale_mut(inverse_sigma);
         }
-        let cost = residual.norm_squared();
-        let (hessian, gradient) = (jacobian.transpose() * jacobian, jacobian.transpose() * residual);
-        for k in 0..6 {
-            for l in k..6 {
-                gram.add(k, l, hessian[(k, l)]);
-            }
-            gram.add(k, 6, gradient[k]);
-        }
-        gram.add(6, 6, cost);
-        Some(cost)
+        Some(gram.add_rows(&jacobian, &residual))
     }
 }
 
