@@ -70,6 +70,8 @@ pub struct Outcome {
 /// verdict is [`Verdict::Fail`].
 pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result<Outcome, Error> {
     let mut dataset = select_cameras(&job.dataset, &options.cameras)?;
+    options.model.check_names(&dataset)?;
+    options.line_delay.check_names(&dataset)?;
     let shapes = shapes(options)?;
     let usual = match options.shape {
         ShapeChoice::Given(shape) => shape,
@@ -104,7 +106,7 @@ pub fn calibrate(job: &Job, options: &CalibrateOptions, watch: &Watch) -> Result
     let beliefs = Beliefs { options, earlier: earlier.as_ref(), stated: &stated, groups: &groups };
     beliefs.apply(&dataset, &mut seed.scene, &mut adjust_options)?;
     adjust_options.cancel = watch.cancel.clone();
-    options.line_delay.apply(&dataset, &mut seed.scene)?;
+    options.line_delay.apply(&dataset, &mut seed.scene);
     let mut calibration = adjust(&dataset, &seed.scene, &adjust_options, watch.observer.clone())?;
     let choices = (options.time_offset, &options.line_delay);
     let times = time_offset::look(&dataset, &seed.scene, &calibration, choices, &adjust_options)?;
@@ -170,10 +172,6 @@ fn lens_models(
     terms: Terms<'_>,
 ) -> Result<(Vec<Model>, Vec<LensSelection>), Error> {
     let options = terms.options;
-    let names = || dataset.cameras.iter().map(|camera| camera.name.clone());
-    if let Some(name) = options.model.by_camera.keys().find(|name| !names().any(|known| known == **name)) {
-        return Err(Error::UnknownCamera { name: name.clone(), known: names().collect() });
-    }
     let asked = |id: CameraId| match known.iter().find(|(known, _)| *known == id) {
         Some((_, lens)) => LensModel::Given(lens.model),
         None => options.model.of(&dataset.cameras[id].name),

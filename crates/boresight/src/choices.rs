@@ -5,7 +5,10 @@ use std::fmt;
 use std::str::FromStr;
 
 use boresight_camera::Model;
-use boresight_data::Shape;
+use boresight_data::{Dataset, Shape};
+
+use crate::error::Error;
+use crate::shared_lens::camera_of;
 
 /// A value that an option does not take.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -15,6 +18,56 @@ pub struct BadChoice {
     pub value: String,
     /// What the option takes.
     pub takes: &'static str,
+}
+
+/// What is chosen for all cameras, and what for single ones: a choice as it is written, then `,NAME=` and another for each.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ByCamera<T> {
+    /// That of cameras that are not named.
+    pub usual: T,
+    /// Those of single cameras, by name.
+    pub by_camera: BTreeMap<String, T>,
+}
+
+impl<T: Copy> ByCamera<T> {
+    /// Returns the choice of a camera.
+    pub fn of(&self, camera: &str) -> T {
+        self.by_camera.get(camera).copied().unwrap_or(self.usual)
+    }
+}
+
+impl<T> ByCamera<T> {
+    /// Returns an error if it names a camera that a dataset does not have.
+    pub(crate) fn check_names(&self, dataset: &Dataset) -> Result<(), Error> {
+        self.by_camera.keys().try_for_each(|name| camera_of(dataset, name).map(|_| ()))
+    }
+}
+
+impl<T: FromStr + Default> FromStr for ByCamera<T> {
+    type Err = T::Err;
+
+    fn from_str(text: &str) -> Result<Self, T::Err> {
+        let mut choice = Self { usual: T::default(), by_camera: BTreeMap::new() };
+        for part in text.split(',') {
+            match part.split_once('=') {
+                None => choice.usual = part.parse()?,
+                Some((camera, of_camera)) => {
+                    choice.by_camera.insert(camera.to_owned(), of_camera.parse()?);
+                }
+            }
+        }
+        Ok(choice)
+    }
+}
+
+impl<T: fmt::Display> fmt::Display for ByCamera<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut text = self.usual.to_string();
+        for (camera, of_camera) in &self.by_camera {
+            text.push_str(&format!(",{camera}={of_camera}"));
+        }
+        f.pad(&text)
+    }
 }
 
 /// How a camera's lens model is found.
@@ -28,20 +81,7 @@ pub enum LensModel {
 
 /// The lens models of all cameras: `opencv5`, `auto`, or with cameras of their own as in
 /// `opencv5,right=kannala-brandt4`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LensChoice {
-    /// That of cameras that are not named.
-    pub usual: LensModel,
-    /// Those of single cameras, by name.
-    pub by_camera: BTreeMap<String, LensModel>,
-}
-
-impl LensChoice {
-    /// Returns the choice of a camera.
-    pub fn of(&self, camera: &str) -> LensModel {
-        self.by_camera.get(camera).copied().unwrap_or(self.usual)
-    }
-}
+pub type LensChoice = ByCamera<LensModel>;
 
 impl From<Model> for LensChoice {
     fn from(model: Model) -> Self {
@@ -49,9 +89,9 @@ impl From<Model> for LensChoice {
     }
 }
 
-impl Default for LensChoice {
+impl Default for LensModel {
     fn default() -> Self {
-        Model::OpenCv5(Default::default()).into()
+        Self::Given(Model::OpenCv5(Default::default()))
     }
 }
 
@@ -69,33 +109,6 @@ impl fmt::Display for LensModel {
             Self::Given(model) => f.pad(&model.to_string()),
             Self::Auto => f.pad("auto"),
         }
-    }
-}
-
-impl FromStr for LensChoice {
-    type Err = boresight_camera::Error;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let mut choice = Self::default();
-        for part in text.split(',') {
-            match part.split_once('=') {
-                None => choice.usual = part.parse()?,
-                Some((camera, model)) => {
-                    choice.by_camera.insert(camera.to_owned(), model.parse()?);
-                }
-            }
-        }
-        Ok(choice)
-    }
-}
-
-impl fmt::Display for LensChoice {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut text = self.usual.to_string();
-        for (camera, model) in &self.by_camera {
-            text.push_str(&format!(",{camera}={model}"));
-        }
-        f.pad(&text)
     }
 }
 

@@ -37,6 +37,7 @@ pub struct Examination {
 /// `opencv5` here.
 pub fn examine(job: &Job, options: &CalibrateOptions) -> Result<Examination, Error> {
     let mut dataset = select_cameras(&job.dataset, &options.cameras)?;
+    options.model.check_names(&dataset)?;
     dataset.targets.iter_mut().for_each(|target| target.shape = Shape::Rigid);
     let model = |name: &str| match options.model.of(name) {
         LensModel::Given(model) => model,
@@ -204,6 +205,13 @@ mod tests {
         let codes: Vec<&str> = found.findings.iter().map(|finding| finding.code.as_str()).collect();
         assert!(codes.contains(&"no-start") && codes.contains(&"few-views"), "{:?}", found.findings);
         assert_eq!(found.findings[0].severity, Severity::Fail);
+    }
+
+    #[test]
+    fn a_model_of_a_camera_that_is_not_there_is_refused() {
+        let options = CalibrateOptions { model: "opencv5,left=eucm".parse().unwrap(), ..Default::default() };
+        let refused = examine(&Job::from(simulate(&good(), 7).dataset), &options).unwrap_err();
+        assert!(matches!(&refused, Error::UnknownCamera { name, .. } if name == "left"), "{refused}");
     }
 
     #[test]

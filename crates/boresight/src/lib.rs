@@ -83,8 +83,8 @@ pub use boresight_seed::{Converted, ImpliedRotation, triangle_from_sides};
 pub use boresight_validate::{CameraLook, Looks, WeakestLink};
 pub use calibrate::{Outcome, Watch, calibrate, with_threads};
 pub use choices::{
-    BadChoice, HoldoutChoice, LensChoice, LensModel, LossChoice, RegularizationChoice, RejectChoice,
-    ShapeChoice,
+    BadChoice, ByCamera, HoldoutChoice, LensChoice, LensModel, LossChoice, RegularizationChoice,
+    RejectChoice, ShapeChoice,
 };
 pub use convert::{ConvertedCamera, convert_lenses};
 pub use cross_validation::{compared, cross_validate};

@@ -1,13 +1,12 @@
 //! Cameras that take the rows of an image one after another: what a caller may ask, and what is said of it.
 
-use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
 use boresight_adjust::{Clock, LOOSEST_READOUT_S, LineDelay};
 use boresight_data::{CameraId, Dataset, Finding, Scene, Severity};
 
-use crate::choices::BadChoice;
+use crate::choices::{BadChoice, ByCamera};
 use crate::error::Error;
 use crate::time_offset::{CERTAIN_SIGMAS, HARMLESS_PX};
 
@@ -23,35 +22,20 @@ pub enum LineDelayUse {
     Given(f64),
 }
 
-/// What becomes of all cameras whose rows are late: `solve`, `29.6e-6`, or with cameras of their own as in `solve,left=0`.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct LineDelayChoice {
-    /// That of cameras that are not named.
-    pub usual: LineDelayUse,
-    /// Those of single cameras, by name.
-    pub by_camera: BTreeMap<String, LineDelayUse>,
-}
-
 /// No sensor takes longer from row to row, in seconds.
 const LONGEST_S: f64 = 1e-3;
-impl LineDelayChoice {
-    /// Returns the choice of a camera.
-    pub fn of(&self, camera: &str) -> LineDelayUse {
-        self.by_camera.get(camera).copied().unwrap_or(self.usual)
-    }
 
+/// What becomes of all cameras whose rows are late: `solve`, `29.6e-6`, or with cameras of their own as in `solve,left=0`.
+pub type LineDelayChoice = ByCamera<LineDelayUse>;
+
+impl LineDelayChoice {
     /// Puts the delays that are given into a scene.
-    pub(crate) fn apply(&self, dataset: &Dataset, scene: &mut Scene) -> Result<(), Error> {
-        let known = || dataset.cameras.iter().map(|info| info.name.clone()).collect::<Vec<String>>();
-        if let Some(name) = self.by_camera.keys().find(|name| !known().contains(name)) {
-            return Err(Error::UnknownCamera { name: name.clone(), known: known() });
-        }
+    pub(crate) fn apply(&self, dataset: &Dataset, scene: &mut Scene) {
         for (camera, info) in scene.rig.cameras.iter_mut().zip(&dataset.cameras) {
             if let (Some(camera), LineDelayUse::Given(line_delay_s)) = (camera, self.of(&info.name)) {
                 camera.line_delay_s = line_delay_s;
             }
         }
-        Ok(())
     }
 
     /// Returns the delays of cameras that are estimated, and those that are looked for.
@@ -87,33 +71,6 @@ impl fmt::Display for LineDelayUse {
             Self::Solve => f.pad("solve"),
             Self::Given(seconds) => write!(f, "{seconds:e}"),
         }
-    }
-}
-
-impl FromStr for LineDelayChoice {
-    type Err = BadChoice;
-
-    fn from_str(text: &str) -> Result<Self, BadChoice> {
-        let mut choice = Self::default();
-        for part in text.split(',') {
-            match part.split_once('=') {
-                None => choice.usual = part.parse()?,
-                Some((camera, delay)) => {
-                    choice.by_camera.insert(camera.to_owned(), delay.parse()?);
-                }
-            }
-        }
-        Ok(choice)
-    }
-}
-
-impl fmt::Display for LineDelayChoice {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut text = self.usual.to_string();
-        for (camera, delay) in &self.by_camera {
-            text.push_str(&format!(",{camera}={delay}"));
-        }
-        f.pad(&text)
     }
 }
 
