@@ -31,7 +31,7 @@ pub enum Error {
         message: String,
     },
     /// A camera is asked for that the input does not have.
-    #[error("option cameras: there is no camera `{name}`; known: {}", known.join(", "))]
+    #[error("there is no camera `{name}`; known: {}", known.join(", "))]
     UnknownCamera {
         /// The name.
         name: String,

@@ -102,6 +102,6 @@ mod tests {
     #[test]
     fn unknown_cameras_are_answered_with_the_known() {
         let error = select_cameras(&dataset(), &["d".to_owned()]).unwrap_err();
-        assert_eq!(error.to_string(), "option cameras: there is no camera `d`; known: a, b, c");
+        assert_eq!(error.to_string(), "there is no camera `d`; known: a, b, c");
     }
 }
