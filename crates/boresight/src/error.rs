@@ -305,7 +305,7 @@ impl Error {
             ),
             Error::ShapeNotMrcals { .. } => text("take --shape 2, or another --regularization"),
             Error::Options { .. } => text(
-                "[options] takes model, shape, regularization, loss, reject, holdout, hold, prior, share_lens, cameras and jobs",
+                "[options] takes model, shape, regularization, loss, reject, holdout, hold, prior, share_lens, time_offset, line_delay, cameras and jobs",
             ),
             Error::NothingToHold { .. } => {
                 text("state the earlier calibration that says it with --prior, or the lens in the job file")

@@ -27,7 +27,7 @@ pub struct CalibrateOptions {
     /// as in `opencv5,right=kannala-brandt4`; `opencv5` unless told otherwise.
     #[serde(with = "as_text")]
     pub model: LensChoice,
-    /// How the target may depart from its drawing: `none`, `2` or `auto`; `2` unless told otherwise.
+    /// How the target may depart from its drawing: `none`, `2`, `6` or `auto`; `2` unless told otherwise.
     #[serde(with = "as_text")]
     pub shape: ShapeChoice,
     /// What keeps weakly constrained lens parameters in bounds: `none`, `default` or `mrcal-2.2`.
@@ -255,6 +255,17 @@ mod tests {
             let error = CalibrateOptions::of_job(&job(options)).unwrap_err().to_string();
             assert!(error.starts_with("boresight.toml:7: "), "{error}");
             assert!(parts.iter().all(|part| error.contains(part)), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_hint_names_every_option() {
+        let options = CalibrateOptions { prior: Some("out".into()), ..CalibrateOptions::default() };
+        let wrong = Error::Options { place: Place::line("boresight.toml", 7), message: "wrong".to_owned() };
+        let hint = wrong.hint().unwrap();
+        let known: toml::Table = toml::to_string(&options).unwrap().parse().unwrap();
+        for name in known.keys() {
+            assert!(hint.split([' ', ',']).any(|word| word == name), "{name}: {hint}");
         }
     }
 
