@@ -38,7 +38,7 @@ pub enum NotDrawn {
     OnlyPoints,
     /// The paper is too small.
     TooLarge {
-        /// Width and height that are needed, margins included, in millimetres.
+        /// Width and height that are needed, margins and the line to check the print by included, in millimetres.
         needed_mm: [f64; 2],
         /// The paper; the largest that was tried, if none was named.
         paper: Paper,
@@ -57,11 +57,12 @@ pub fn sheet(
     let drawing = Drawing::new(target, print).ok_or(NotDrawn::OnlyPoints)?;
     let (low, high) = drawing.printed();
     let printed_mm = [0, 1].map(|axis| (high[axis] - low[axis]) * 1e3 * drawing.unit_m);
-    let needed_mm = [printed_mm[0] + 2.0 * LEAST_MARGIN_MM, printed_mm[1] + 2.0 * LEAST_MARGIN_MM + FOOT_MM];
-    let shortest = RULERS_MM.iter().copied().fold(f64::INFINITY, f64::min);
-    let has_room = |size: &[f64; 2]| {
-        size[0] >= needed_mm[0].max(shortest + 2.0 * LEAST_MARGIN_MM) - 1e-9 && size[1] >= needed_mm[1] - 1e-9
-    };
+    let shortest_mm = RULERS_MM.iter().copied().fold(f64::INFINITY, f64::min);
+    let needed_mm = [
+        printed_mm[0].max(shortest_mm) + 2.0 * LEAST_MARGIN_MM,
+        printed_mm[1] + 2.0 * LEAST_MARGIN_MM + FOOT_MM,
+    ];
+    let has_room = |size: &[f64; 2]| (0..2).all(|axis| size[axis] >= needed_mm[axis] - 1e-9);
     let spare = |size: &[f64; 2]| (size[0] - needed_mm[0]).min(size[1] - needed_mm[1]);
     let turned = |paper: &Paper| {
         let [a, b] = paper.size_mm;
@@ -84,7 +85,7 @@ pub fn sheet(
         }
     };
     let room_mm = paper.size_mm[0] - 2.0 * LEAST_MARGIN_MM;
-    let ruler_mm = RULERS_MM.into_iter().find(|ruler| *ruler <= room_mm).unwrap_or(shortest);
+    let ruler_mm = RULERS_MM.into_iter().find(|ruler| *ruler <= room_mm).unwrap_or(shortest_mm);
     let svg = drawn(&drawing, paper.size_mm, printed_mm, ruler_mm, caption);
     Ok(Sheet { svg, paper, printed_mm, ruler_mm })
 }
@@ -262,7 +263,11 @@ mod tests {
         let small = on_paper(chessboard(2, 2, 0.01), "80x80mm").unwrap();
         assert_eq!(small.ruler_mm, 50.0);
         assert!(on_paper(chessboard(2, 2, 0.001), "36x90mm").is_ok_and(|made| made.ruler_mm == 50.0));
-        assert!(on_paper(chessboard(2, 2, 0.001), "30x35mm").is_err());
+        // What is told to be needed is more than there is.
+        let Err(NotDrawn::TooLarge { needed_mm, .. }) = on_paper(chessboard(2, 2, 0.001), "30x35mm") else {
+            panic!("the line is 20 mm long and has 10 mm to either side");
+        };
+        assert_eq!(needed_mm, [40.0, 35.0]);
     }
 
     #[test]
