@@ -16,6 +16,7 @@ use boresight_validate::{Looks, findings_before, looks};
 use crate::calibrate::known_lenses;
 use crate::choices::LensModel;
 use crate::error::Error;
+use crate::held_out::Seen;
 use crate::options::CalibrateOptions;
 use crate::select::select_cameras;
 
@@ -106,16 +107,14 @@ fn start_of(dataset: &Dataset, scene: Scene, left_out: &[LeftOut]) -> Calibratio
 
 /// Returns predicted minus observed pixels of a view, or `None` if a start does not reach it.
 fn residuals_px(dataset: &Dataset, scene: &Scene, view: &View) -> Option<Vec<[f64; 2]>> {
-    let camera = &scene.rig.cameras.get(view.camera)?.as_ref()?.camera;
-    let belief = scene.targets.get(view.target)?;
-    let cam_from_target = scene.cam_from_first(view.camera, view.frame)? * belief.first_from_target;
-    let target = dataset.targets.get(view.target)?;
-    let residual = |observation: &boresight_data::Observation| {
-        let predicted =
-            camera.project(&(cam_from_target * target.point(observation.point, &belief.shape_m)))?;
-        Some([0, 1].map(|axis| predicted[axis] - observation.pixel[axis]))
-    };
-    view.observations.iter().map(residual).collect()
+    let seen = Seen::new(dataset, scene, view)?;
+    let pairs = seen.points_in_cam.iter().zip(&view.observations);
+    pairs
+        .map(|(point, observation)| {
+            let predicted = seen.camera.project(point)?;
+            Some([0, 1].map(|axis| predicted[axis] - observation.pixel[axis]))
+        })
+        .collect()
 }
 
 /// Returns what can be told where there is no start: where corners were seen in images, and in which together.
