@@ -257,14 +257,14 @@ mod tests {
 
     #[test]
     fn reference_files_of_mrcal_are_read_where_present() {
-        let folder = std::path::Path::new("/work/shared/datasets");
         for (file, model) in [
             ("corners-stereo-drcal/raw/reference/camera-1.cameramodel", "opencv8"),
             ("corners-mrcal-figueroa/raw/pinhole-narrow-yawed-left.cameramodel", "pinhole"),
             ("stereo-opencv-left-right/derived/mrcal/OPENCV5-camera-1.cameramodel", "opencv5"),
             ("corners-mrcal-figueroa/raw/splined-0.cameramodel", "splined3"),
         ] {
-            let Ok(bytes) = std::fs::read(folder.join(file)) else { continue };
+            let Some(path) = crate::samples::shared_file(&format!("datasets/{file}")) else { continue };
+            let bytes = std::fs::read(path).unwrap();
             assert!(recognizes(&bytes), "{file}");
             let found = read_cameras(file, &bytes);
             assert_eq!(found.unwrap()[0].camera.model.name(), model);

@@ -480,7 +480,7 @@ model = "pinhole"
 
     #[test]
     fn recordings_of_others_are_loaded_where_present() {
-        let shared = Path::new("/work/shared/datasets");
+        let recorded = |file: &str| crate::samples::shared_file(&format!("datasets/{file}"));
         for (file, target, cameras, frames, views) in [
             ("stereo-opencv-left-right/derived/corners-opencv.vnl", "9x6:25mm", 2, 13, 26),
             ("fisheye-stereo-stereopi/derived/corners-opencv.vnl", "9x6:25mm", 2, 49, 98),
@@ -490,10 +490,7 @@ model = "pinhole"
             // Two of its 89 images have no board.
             ("corners-mrcal-photonvision2023/raw/corners.vnl", "10x10:58.8mm", 1, 87, 87),
         ] {
-            let path = shared.join(file);
-            if !path.exists() {
-                continue;
-            }
+            let Some(path) = recorded(file) else { continue };
             let target = Some(crate::parse_target(&format!("chessboard:{target}")).unwrap());
             let overrides =
                 JobOverrides { target, image_size: Some([10_000, 10_000]), ..JobOverrides::default() };
@@ -501,8 +498,7 @@ model = "pinhole"
             let found = (dataset.cameras.len(), dataset.frames.len(), dataset.views.len());
             assert_eq!(found, (cameras, frames, views), "{file}");
         }
-        let drcal = shared.join("corners-stereo-drcal/raw/corners.vnl");
-        if drcal.exists() {
+        if let Some(drcal) = recorded("corners-stereo-drcal/raw/corners.vnl") {
             let job = "[target]\nkind = \"chessboard\"\ncolumns = 13\nrows = 8\nspacing_m = 0.04\n\
                 [[camera]]\nname = \"l\"\nimage_size = [1280, 800]\nimages = \"*_000.png\"\n\
                 [[camera]]\nname = \"r\"\nimage_size = [1280, 800]\nimages = \"*_001.png\"\n";

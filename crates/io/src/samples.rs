@@ -1,6 +1,7 @@
-//! A small calibration with something of everything, for tests.
+//! A small calibration with something of everything, and the files beside the project, for tests.
 
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 use boresight_camera::Camera;
 use boresight_data::{
@@ -9,6 +10,17 @@ use boresight_data::{
     TargetBelief, TargetMount, Transfer, Uncertainty, ViewFit,
 };
 use boresight_geometry::{Pose, Vector3};
+
+/// Returns a file of the folder `shared` beside the project, or `None`, saying so, where it is not there.
+#[allow(clippy::print_stderr, reason = "a skipped test says that it was skipped")]
+pub(crate) fn shared_file(name: &str) -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared").join(name);
+    if path.is_file() {
+        return Some(path);
+    }
+    eprintln!("skipped: {} is not there", path.display());
+    None
+}
 
 /// Returns a rig of these lens models, given with parameters, for 640x480 images.
 pub(crate) fn rig(lenses: &[(&str, Vec<f64>)]) -> Vec<Option<RigCamera>> {
