@@ -161,11 +161,7 @@ fn check_delays(
             LineDelayUse::Given(_) => 1,
             LineDelayUse::Solve => LEAST_FRAMES,
         };
-        // A robot's frames are where it says, and their motion is not looked at.
-        let moving = match held.scene.robot {
-            Some(_) => 0,
-            None => views_in_motion(dataset, &held.scene, camera),
-        };
+        let moving = views_in_motion(dataset, &held.scene, camera);
         if moving < need {
             let timed = dataset.frames.iter().filter(|frame| frame.time_ns.is_some()).count();
             let (camera, frames) = (info.name.clone(), dataset.frames.len());
