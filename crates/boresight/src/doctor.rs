@@ -34,6 +34,13 @@ pub struct Examination {
     pub findings: Vec<Finding>,
 }
 
+impl Examination {
+    /// Tells whether it can be calibrated as it is: nothing that was found is a [`Severity::Fail`].
+    pub fn is_usable(&self) -> bool {
+        self.findings.iter().all(|finding| finding.severity != Severity::Fail)
+    }
+}
+
 /// Looks at a job without solving it. Of the options, cameras and lens models count; a lens that is to be chosen is
 /// `opencv5` here.
 pub fn examine(job: &Job, options: &CalibrateOptions) -> Result<Examination, Error> {

@@ -68,16 +68,15 @@ pub(crate) fn run(arguments: &DoctorArguments) -> Result<ExitCode, Failure> {
     let options =
         CalibrateOptions { model: arguments.model.clone().unwrap_or(stated.model.clone()), ..stated };
     let found = examine(&job, &options)?;
-    let is_usable = found.findings.iter().all(|finding| finding.severity != Severity::Fail);
     if arguments.json {
-        json(&document(&found, is_usable))?;
+        json(&document(&found))?;
     } else {
-        answer(describe(&found, is_usable).as_bytes())?;
+        answer(describe(&found).as_bytes())?;
     }
-    Ok(if is_usable { ExitCode::SUCCESS } else { ExitCode::from(1) })
+    Ok(if found.is_usable() { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
-fn document(found: &Examination, is_usable: bool) -> Document<'_> {
+fn document(found: &Examination) -> Document<'_> {
     let cameras = found.looks.cameras.iter().zip(&found.dataset.cameras).map(|(look, info)| CameraDocument {
         name: &info.name,
         image_size: info.image_size,
@@ -94,14 +93,14 @@ fn document(found: &Examination, is_usable: bool) -> Document<'_> {
     });
     Document {
         schema: SCHEMA,
-        is_usable,
+        is_usable: found.is_usable(),
         cameras: cameras.collect(),
         weakest_link,
         findings: &found.findings,
     }
 }
 
-fn describe(found: &Examination, is_usable: bool) -> String {
+fn describe(found: &Examination) -> String {
     let shown = |value: Option<f64>, scale: f64, places: usize| {
         value.map_or_else(|| "-".to_owned(), |value| format!("{:.places$}", scale * value))
     };
@@ -139,11 +138,11 @@ fn describe(found: &Examination, is_usable: bool) -> String {
     }
     text.push('\n');
     text.push_str(&describe_findings(&found.findings));
-    text.push_str(match (found.findings.iter().map(|finding| finding.severity).max(), is_usable) {
-        (None, _) => "nothing is wrong that can be told before a solve\n",
-        (Some(Severity::Note), _) => "nothing stands against calibrating this\n",
-        (_, true) => "it can be calibrated; the cautions above will show in the result\n",
-        (_, false) => "it should not be calibrated as it is\n",
+    text.push_str(match found.findings.iter().map(|finding| finding.severity).max() {
+        None => "nothing is wrong that can be told before a solve\n",
+        Some(Severity::Note) => "nothing stands against calibrating this\n",
+        Some(Severity::Caution) => "it can be calibrated; the cautions above will show in the result\n",
+        Some(Severity::Fail) => "it should not be calibrated as it is\n",
     });
     text
 }
