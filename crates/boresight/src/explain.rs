@@ -1,6 +1,6 @@
 //! The long text of each code that a finding may bear.
 
-use crate::hand_eye::{ROBOT_CODES, explain_robot};
+use crate::hand_eye::ROBOT_CODES;
 use crate::line_delay::LINE_DELAY_TEXTS;
 use crate::recording_texts::RECORDING_TEXTS;
 use crate::robot_texts::TEXTS;
@@ -109,39 +109,20 @@ const OF_INPUT: &[(&str, &str)] = &[
     ),
 ];
 
+/// All tables of codes with their long texts, beside those of `boresight-validate`.
+const TABLES: [&[(&str, &str)]; 6] =
+    [OF_INPUT, ROBOT_CODES, TEXTS, RECORDING_TEXTS, TIME_OFFSET_TEXTS, LINE_DELAY_TEXTS];
+
 /// Returns the long text of a code: what it means, why it matters, how to fix it. `None` for an unknown code.
 pub fn explain(code: &str) -> Option<&'static str> {
-    let of_input = || OF_INPUT.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
-    let of_recording = || RECORDING_TEXTS.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
-    let of_times = || {
-        TIME_OFFSET_TEXTS
-            .iter()
-            .chain(LINE_DELAY_TEXTS)
-            .find(|(known, _)| *known == code)
-            .map(|(_, text)| *text)
-    };
-    let of_plane = || TEXTS.iter().find(|(known, _)| *known == code).map(|(_, text)| *text);
-    boresight_validate::explain(code)
-        .or_else(of_input)
-        .or_else(|| explain_robot(code))
-        .or_else(of_plane)
-        .or_else(of_recording)
-        .or_else(of_times)
+    let own = TABLES.into_iter().flatten().find(|(known, _)| *known == code);
+    boresight_validate::explain(code).or(own.map(|(_, text)| *text))
 }
 
 /// Returns all codes in alphabetical order.
 pub fn codes() -> Vec<&'static str> {
     let mut codes = boresight_validate::codes();
-    codes.extend(
-        OF_INPUT
-            .iter()
-            .chain(ROBOT_CODES)
-            .chain(TEXTS)
-            .chain(RECORDING_TEXTS)
-            .chain(TIME_OFFSET_TEXTS)
-            .chain(LINE_DELAY_TEXTS)
-            .map(|(code, _)| *code),
-    );
+    codes.extend(TABLES.into_iter().flatten().map(|(code, _)| *code));
     codes.sort_unstable();
     codes
 }

@@ -34,7 +34,7 @@ use crate::calibrate::{Outcome, Watch, calibrate};
 use crate::error::Error;
 use crate::options::CalibrateOptions;
 
-pub use checks::{ROBOT_CODES, check_motions, explain_robot};
+pub use checks::{ROBOT_CODES, check_motions};
 pub use compare::{Figures, MethodFigures};
 pub use document::{HAND_EYE_SCHEMA, HandEyeDocument};
 pub use joint_chain::{Joint, JointChain, JointLink, joint_chain};

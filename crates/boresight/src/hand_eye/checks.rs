@@ -241,11 +241,6 @@ pub const ROBOT_CODES: &[(&str, &str)] = &[
     ),
 ];
 
-/// Returns the long text of a robot finding's code.
-pub fn explain_robot(code: &str) -> Option<&'static str> {
-    ROBOT_CODES.iter().find(|(known, _)| *known == code).map(|(_, text)| *text)
-}
-
 #[cfg(test)]
 mod tests {
     use boresight_geometry::Vector3;
