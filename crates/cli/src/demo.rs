@@ -25,8 +25,9 @@ pub(crate) struct DemoArguments {
 /// Renders a stereo recording, calibrates it, and holds the result against the truth.
 pub(crate) fn run(arguments: &DemoArguments) -> Result<ExitCode, Failure> {
     let folder = &arguments.output;
-    if folder.join("boresight.toml").exists() {
-        let message = format!("{} has a boresight.toml already", folder.display());
+    let names = ["boresight.toml", "images", "truth", "out"];
+    if let Some(there) = names.map(|name| folder.join(name)).into_iter().find(|path| path.exists()) {
+        let message = format!("{} is there already", there.display());
         return Err(Failure::new(Reason::Usage, message).with_hint("name another folder with -o"));
     }
     let made = demo(arguments.seed)?;

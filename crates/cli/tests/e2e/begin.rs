@@ -94,4 +94,9 @@ fn the_demonstration_finds_its_truth() {
     let compare = ["compare", "demo/out", "demo/truth", "--distance-m", "0.85", "--limit-px", "0.3"];
     boresight(folder.path(), &compare).good();
     assert_eq!(boresight(folder.path(), &["demo"]).code, Some(2));
+    // Images of others stay.
+    std::fs::create_dir(folder.path().join("images")).unwrap();
+    let refused = boresight(folder.path(), &["demo", "-o", "."]);
+    assert_eq!(refused.code, Some(2), "{}", refused.stderr);
+    assert!(refused.stderr.contains("images is there already"), "{}", refused.stderr);
 }
