@@ -82,13 +82,18 @@ fn make(arguments: &MakeArguments) -> Result<ExitCode, Failure> {
             )
         }
     })?;
-    let job = format!(
-        "# {}; measure the print before use, and write here what it measures.\n[target]\nkind = \"{spec}\"\n",
-        name
-    );
+    let mark = format!("# {name}; measure the print");
+    let job = format!("{mark} before use, and write here what it measures.\n[target]\nkind = \"{spec}\"\n");
     let job_name = format!("{stem}.toml");
     let folder = path.parent().unwrap_or(Path::new(""));
-    let job_path = folder.join(&job_name).display().to_string();
+    let job_path = folder.join(&job_name);
+    let job_path_shown = job_path.display();
+    if let Ok(there) = std::fs::read(&job_path)
+        && !there.starts_with(mark.as_bytes())
+    {
+        let message = format!("{job_path_shown} is there already, and was not written with {name}");
+        return Err(Failure::new(Reason::Usage, message).with_hint("name another file with -o"));
+    }
     let paper = format!("{}, {}", path.display(), paper_in_words(&made.paper));
     answer(job.as_bytes())?;
     write_files(
@@ -98,12 +103,12 @@ fn make(arguments: &MakeArguments) -> Result<ExitCode, Failure> {
             OutputFile { name: job_name, bytes: job.into_bytes() },
         ],
     )?;
-    note(&format!("\nwritten: {paper}\nwritten: {job_path}, its part of a job file\n"));
+    note(&format!("\nwritten: {paper}\nwritten: {job_path_shown}, its part of a job file\n"));
     note(&what_to_check(&arguments.target, &made));
     if let Some(hint) = upside_down(&arguments.target) {
         note(&hint);
     }
-    note(&format!("next:    boresight calibrate IMAGES -c {job_path}"));
+    note(&format!("next:    boresight calibrate IMAGES -c {job_path_shown}"));
     Ok(ExitCode::SUCCESS)
 }
 

@@ -55,6 +55,17 @@ fn targets_that_cannot_be_made_are_refused() {
 }
 
 #[test]
+fn a_job_of_the_same_name_is_not_overwritten_by_a_target() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("boresight.toml"), "[target]\n").unwrap();
+    let run = boresight(folder.path(), &["target", "make", "chessboard:9x6:25mm", "-o", "boresight.svg"]);
+    assert_eq!(run.code, Some(2), "{}", run.stderr);
+    assert!(run.stderr.contains("boresight.toml is there already"), "{}", run.stderr);
+    assert_eq!(std::fs::read_to_string(folder.path().join("boresight.toml")).unwrap(), "[target]\n");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
 fn a_job_file_is_written_from_data() {
     let folder = tempfile::tempdir().unwrap();
     let corners = dataset("opencv-stereo/corners-classic5.csv");
