@@ -70,6 +70,10 @@ fn make(arguments: &MakeArguments) -> Result<ExitCode, Failure> {
     let print = print_of(arguments)?;
     let made = sheet(&arguments.target, &print, arguments.paper.as_ref(), &spec).map_err(|why| match why {
         NotDrawn::OnlyPoints => only_points(),
+        NotDrawn::TooMany { points, most } => {
+            let message = format!("{spec} has {points} points, and no more than {most} are drawn");
+            Failure::new(Reason::Usage, message).with_hint("take fewer and larger squares")
+        }
         NotDrawn::TooLarge { needed_mm: [width, height], paper } => {
             let [paper_width, paper_height] = paper.size_mm.map(significant_mm);
             let needed = format!("{} x {} mm", significant_mm(width), significant_mm(height));

@@ -17,6 +17,8 @@ const FOOT_MM: f64 = 12.0;
 const LETTER_WIDTH: f64 = 0.6;
 /// The height of letters in millimetres, where there is room.
 const LETTERS_MM: f64 = 3.0;
+/// More points than any print has, and as many as are drawn at once.
+const MOST_POINTS: usize = 100_000;
 
 /// A target on paper.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,6 +45,13 @@ pub enum NotDrawn {
         /// The paper; the largest that was tried, if none was named.
         paper: Paper,
     },
+    /// There are more points than anybody prints.
+    TooMany {
+        /// The number of points.
+        points: usize,
+        /// How many there may be.
+        most: usize,
+    },
 }
 
 /// Returns a target as it looks from its printed side, black on white and to scale, in the middle of a sheet; below it
@@ -54,6 +63,10 @@ pub fn sheet(
     paper: Option<&Paper>,
     caption: &str,
 ) -> Result<Sheet, NotDrawn> {
+    let points = target.point_count();
+    if points > MOST_POINTS {
+        return Err(NotDrawn::TooMany { points, most: MOST_POINTS });
+    }
     let drawing = Drawing::new(target, print).ok_or(NotDrawn::OnlyPoints)?;
     let (low, high) = drawing.printed();
     let printed_mm = [0, 1].map(|axis| (high[axis] - low[axis]) * 1e3 * drawing.unit_m);
@@ -314,5 +327,11 @@ mod tests {
         assert!(text.contains("r=\"6\""), "{text}");
         let points = Geometry::Points { points_m: vec![[0.0; 3]; 4] };
         assert_eq!(on_paper(points, ""), Err(NotDrawn::OnlyPoints));
+    }
+
+    #[test]
+    fn what_nobody_prints_is_refused_before_it_is_drawn() {
+        let drawn = on_paper(chessboard(100_000, 100_000, 1e-5), "2000x2000mm");
+        assert_eq!(drawn, Err(NotDrawn::TooMany { points: 10_000_000_000, most: 100_000 }));
     }
 }
