@@ -46,7 +46,7 @@ pub use robot_noise::{EstimatedNoise, estimate_robot_noise};
 pub use robot_touch::{RobotTouch, RobotTouches};
 pub use sighted_point::{Sight, SightedPoint, SightedPointError, sighted_point};
 pub use time_offset::{
-    LEAST_FRAMES, LOOSEST_READOUT_S, LineDelay, TimeOffset, Timed, adjust_times, views_in_motion,
+    LEAST_FRAMES, LOOSEST_READOUT_S, LineDelay, TimeOffset, TimeSearch, Timed, adjust_times, views_in_motion,
 };
 pub use touch::{
     Heights, PlaneFunction, Position, TipKnowledge, Touch, TouchError, TouchFit, TouchLens, TouchOptions,

@@ -33,6 +33,8 @@ pub const LEAST_FRAMES: usize = 6;
 const MAX_ROUNDS: usize = 6;
 /// Times stay when they change by less than this share of their sigma, or by less than this many seconds over an image.
 const SETTLED_SIGMAS: f64 = 0.05;
+/// What is only looked at stays when it changes by less than this many of its sigmas.
+const LOOKED_AT_SIGMAS: f64 = 2.0;
 const SETTLED_S: f64 = 1e-7;
 /// Where no time is unknown, the motion stays when the RMS changes by less than this share.
 const SETTLED_RMS: f64 = 1e-5;
@@ -63,6 +65,15 @@ pub struct LineDelay {
     pub rows: u32,
     /// How far the target moves in the camera's images from its first to its last row: the median over frames, in pixels.
     pub shift_px: f64,
+}
+
+/// How well times are sought.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TimeSearch {
+    /// Well enough to tell whether they matter; most do not, and one adjustment says so.
+    Look,
+    /// Until they stay.
+    Estimate,
 }
 
 /// A calibration in which cameras and rows may be late.
@@ -109,7 +120,7 @@ pub fn adjust_times(
     dataset: &Dataset,
     seed: &Scene,
     solved: &Calibration,
-    wanted: &[Clock],
+    (wanted, search): (&[Clock], TimeSearch),
     options: &AdjustOptions,
 ) -> Result<Option<Timed>, Error> {
     if seed.robot.is_some() {
@@ -129,6 +140,10 @@ pub fn adjust_times(
         return Ok(None);
     }
     let options = AdjustOptions { clocks: clocks.clone(), ..options.clone() };
+    let settled_sigmas = match search {
+        TimeSearch::Look => LOOKED_AT_SIGMAS,
+        TimeSearch::Estimate => SETTLED_SIGMAS,
+    };
     let mut before = (vec![0.0; clocks.len()], f64::INFINITY);
     let mut rounds = 0;
     loop {
@@ -142,14 +157,14 @@ pub fn adjust_times(
                 Clock::Offset(camera) => {
                     let Some(found) = offset(dataset, &calibration, camera) else { continue };
                     times_s.push(found.offset_s);
-                    limits_s.push((SETTLED_SIGMAS * found.sigma_s).max(SETTLED_S));
+                    limits_s.push((settled_sigmas * found.sigma_s).max(SETTLED_S));
                     offsets.push(found);
                 }
                 Clock::LineDelay(camera) => {
                     let Some(found) = line_delay(dataset, &calibration, camera) else { continue };
                     times_s.push(found.line_delay_s);
                     let least_s = SETTLED_S / f64::from(found.rows.max(1));
-                    limits_s.push((SETTLED_SIGMAS * found.sigma_s).max(least_s));
+                    limits_s.push((settled_sigmas * found.sigma_s).max(least_s));
                     line_delays.push(found);
                 }
             }

@@ -313,7 +313,7 @@ fn the_regularization_of_a_shared_lens_counts_once() {
         share_lens: vec!["cam0+cam1".to_owned()],
         ..CalibrateOptions::default()
     };
-    let outcome = calibrate(&job(simulate(&recipe, 9).dataset), &options, &Watch::default()).unwrap();
+    let outcome = calibrate(&Job::from(simulate(&recipe, 9).dataset), &options, &Watch::default()).unwrap();
     let uncertainty = &outcome.calibration.uncertainty;
     let claimed = |name: &str| {
         let place = uncertainty.names.iter().position(|known| known == name).unwrap();

@@ -4,7 +4,8 @@ use std::fmt;
 use std::str::FromStr;
 
 use boresight_adjust::{
-    AdjustOptions, Clock, LEAST_FRAMES, LineDelay, TimeOffset, Timed, adjust_times, views_in_motion,
+    AdjustOptions, Clock, LEAST_FRAMES, LineDelay, TimeOffset, TimeSearch, Timed, adjust_times,
+    views_in_motion,
 };
 use boresight_data::{Calibration, CameraId, Dataset, Finding, Scene, Severity};
 
@@ -107,7 +108,7 @@ pub(crate) fn look(
     let mut times = Times::default();
     let states_delay = seed.rig.cameras.iter().flatten().any(|camera| camera.line_delay_s != 0.0);
     if !asked.is_empty() || states_delay {
-        let timed = adjust_times(dataset, seed, held, &asked, &options)?;
+        let timed = adjust_times(dataset, seed, held, (&asked, TimeSearch::Estimate), &options)?;
         // Where rows have times of their own there is no way back to those that have not: that it did not converge is told.
         let has_delays = states_delay || asked.iter().any(|clock| matches!(clock, Clock::LineDelay(_)));
         let timed = timed.filter(|timed| has_delays || timed.calibration.solve.converged);
@@ -134,7 +135,10 @@ pub(crate) fn look(
     for looked_for in attempts.into_iter().filter(|clocks| !clocks.is_empty()) {
         let wanted = [&times.clocks[..], looked_for].concat();
         // Who did not ask has a calibration, whatever becomes of looking.
-        let Ok(Some(timed)) = adjust_times(dataset, seed, start, &wanted, &options) else { continue };
+        let Ok(Some(timed)) = adjust_times(dataset, seed, start, (&wanted, TimeSearch::Look), &options)
+        else {
+            continue;
+        };
         let are_told = timed.line_delays.iter().all(LineDelay::is_told);
         if are_told && timed.calibration.solve.converged && !timed.clocks().is_empty() {
             times.findings.extend(unused(dataset, held, &timed, looked_for));
