@@ -98,6 +98,14 @@ impl RigProblem {
             }
         }
     }
+
+    /// Returns what the regularisation adds to the cost where the parameters are.
+    pub(crate) fn regularization_cost(&self) -> f64 {
+        let values = self.parameters.values();
+        let mild: f64 = self.priors.iter().map(|prior| prior.cost(values)).sum();
+        let sparse: f64 = self.sparse_priors.iter().map(|prior| prior.cost(values)).sum();
+        mild + sparse
+    }
 }
 
 /// Returns what is believed of a lens with local support before a problem is there; mild beliefs where

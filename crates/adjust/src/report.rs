@@ -143,7 +143,7 @@ pub(crate) fn report(
         .to_owned(),
         rows: rig.priors.iter().map(Term::row_count).sum::<usize>()
             + rig.sparse_priors.iter().map(Term::row_count).sum::<usize>(),
-        chi2: costs.map_or(0.0, |[_, priors]| priors),
+        chi2: rig.regularization_cost(),
     };
     Ok(Calibration {
         scene,

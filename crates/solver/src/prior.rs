@@ -24,6 +24,14 @@ impl VectorPrior {
         let rows = self.rows.iter().filter(|row| self.block == [block] && row.0 == column);
         rows.map(|(_, _, inverse_sigma)| inverse_sigma * inverse_sigma).sum()
     }
+
+    /// Returns what it adds to the cost at `values`.
+    pub fn cost(&self, values: Values<'_>) -> f64 {
+        let numbers = values.vector(self.block[0]);
+        let residual =
+            |&(column, mean, inverse_sigma): &(usize, f64, f64)| (numbers[column] - mean) * inverse_sigma;
+        self.rows.iter().map(|row| residual(row).powi(2)).sum()
+    }
 }
 
 impl Term for VectorPrior {

@@ -47,6 +47,11 @@ impl SparsePrior {
         self.products.iter().map(|(&[a, b], &entry)| ([a as usize, b as usize], entry))
     }
 
+    /// Returns what it adds to the cost at `values`.
+    pub fn cost(&self, values: Values<'_>) -> f64 {
+        self.cost_and_gradient(values).0
+    }
+
     /// Returns the cost, and the gradient by column.
     fn cost_and_gradient(&self, values: Values<'_>) -> (f64, Vec<f64>) {
         let numbers = values.vector(self.block[0]);
