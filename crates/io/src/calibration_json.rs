@@ -404,6 +404,7 @@ fn summarize(calibration: &Calibration, sigmas: &Sigmas<'_>) -> TargetSummary {
 }
 
 fn write_target(target: &Target, belief: &TargetBelief) -> Result<TargetDocument, Error> {
+    same_length("coefficients of a shape", belief.shape_m.len(), target.shape.coefficient_count())?;
     for value in &belief.shape_m {
         finite(*value, || format!("the shape of {}", target.name))?;
     }
@@ -693,13 +694,17 @@ mod tests {
             calibration.scene.targets.iter_mut().next().unwrap().shape_m = shape_m;
             let bytes = calibration_to_json(&calibration, &[]).unwrap();
             assert_eq!(calibration_from_json("c", &bytes).unwrap().0, calibration);
-            calibration.scene.targets.iter_mut().next().unwrap().shape_m.push(1e-3);
-            let bytes = calibration_to_json(&calibration, &[]).unwrap();
+            let mut document: serde_json::Value = serde_json::from_slice(&bytes).unwrap();
+            document["targets"][0]["shape_m"].as_array_mut().unwrap().push(1e-3.into());
+            let bytes = serde_json::to_vec(&document).unwrap();
             let error = calibration_from_json("c", &bytes).unwrap_err().to_string();
             assert!(
                 error.contains(&format!("{n} coefficients")) && error.contains("targets[0].shape_m"),
                 "{error}"
             );
+            calibration.scene.targets.iter_mut().next().unwrap().shape_m.push(1e-3);
+            let refused = calibration_to_json(&calibration, &[]).unwrap_err().to_string();
+            assert!(refused.contains("coefficients of a shape"), "{refused}");
         }
     }
 
