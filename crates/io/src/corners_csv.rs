@@ -19,11 +19,14 @@ const TOLERANCE: f64 = 1e-4;
 
 /// Returns the corners of a dataset as a table `camera,image,view,point,u,v,sigma_px`, as it is read.
 ///
-/// Pixels and sigmas are rounded to 1e-6 pixels. A name with a comma is quoted.
+/// Pixels and sigmas are rounded to 1e-6 pixels. A name with a comma, or with blanks around it, is quoted.
 pub fn corners_to_csv(dataset: &Dataset) -> String {
     let mut text = String::from("camera,image,view,point,u,v,sigma_px\n");
     for view in &dataset.views {
-        let quoted = |name: &str| if name.contains(',') { format!("\"{name}\"") } else { name.to_owned() };
+        let quoted = |name: &str| match name.contains(',') || name.trim() != name {
+            true => format!("\"{name}\""),
+            false => name.to_owned(),
+        };
         let camera = quoted(&dataset.cameras[view.camera].name);
         let frame = quoted(&dataset.frames[view.frame].name);
         let image = quoted(view.image.as_deref().unwrap_or_default());
@@ -354,7 +357,7 @@ fn extent(bytes: &[u8], columns: &[Column]) -> Option<[u32; 2]> {
 
 #[cfg(test)]
 mod tests {
-    use boresight_data::Shape;
+    use boresight_data::{CameraInfo, Frame, Shape, TargetId, View};
 
     use super::*;
 
@@ -364,6 +367,23 @@ mod tests {
         let geometry = Geometry::Chessboard { columns: 3, rows: 2, spacing_m: 0.1 };
         let target = Target { name: "board".to_owned(), geometry, shape: Shape::Rigid };
         read_csv("c.csv", text.as_bytes(), &target, 1.0)
+    }
+
+    #[test]
+    fn what_is_written_is_read_with_its_names() {
+        let names = ["left, upper", " a.png", "12"];
+        let seen = Observation { point: PointId(4), pixel: [10.25, 20.5], sigma_px: 0.125 };
+        let mut dataset = Dataset::default();
+        let camera = CameraInfo { name: names[0].to_owned(), image_size: [64, 48] };
+        let camera = dataset.cameras.push(camera);
+        let frame = dataset.frames.push(Frame { name: names[2].to_owned(), ..Frame::default() });
+        let image = Some(names[1].to_owned());
+        dataset.views.push(View { camera, frame, target: TargetId(0), image, observations: vec![seen] });
+        let read = read(&corners_to_csv(&dataset)).unwrap();
+        let view = &read.views[0];
+        let found = [&view.camera, &view.image, &view.frame].map(|name| name.as_deref().unwrap());
+        assert_eq!(found, names);
+        assert_eq!(view.observations, [seen]);
     }
 
     fn refuses(text: &str, parts: &[&str]) {
