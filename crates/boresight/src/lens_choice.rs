@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::calibrate::is_noncentral;
 use crate::select::as_one_camera;
-use crate::trial::{Fit, Terms, Trial, ViewErrors, excess, rms_px, without};
+use crate::trial::{Fit, Terms, Trial, ViewErrors, comparable_rms_px, excess, without};
 
 /// A model that leaves out a larger share of the views than another is not compared with it.
 const LEFT_OUT_SHARE: f64 = 0.1;
@@ -154,31 +154,23 @@ const BIASED_SHARE: f64 = 0.25;
 /// Returns which of the trials is the simplest that is not told from the best, or is hardly worse; and whose residuals
 /// point in no common direction, unless the best one's do.
 fn simplest(trials: &[ModelTrial], among: &[usize]) -> Option<usize> {
-    // Over the views that all of them kept: who leaves out what is hard is none the better for it.
-    let n_views = among.iter().map(|&idx| trials[idx].views.len()).min()?;
-    let is_common = |view: &usize| among.iter().all(|&idx| trials[idx].views[*view].is_some());
-    let common: Vec<usize> = (0..n_views).filter(is_common).collect();
-    let errors_px: Vec<f64> = trials
-        .iter()
-        .map(|trial| match common.is_empty() || trial.views.len() < n_views {
-            true => trial.held_out_px,
-            false => rms_px(&common.iter().map(|&view| trial.views[view]).collect()),
-        })
-        .collect();
-    let best = *among.iter().min_by(|a, b| errors_px[**a].total_cmp(&errors_px[**b]))?;
+    let views: Vec<&ViewErrors> = among.iter().map(|&idx| &trials[idx].views).collect();
+    let ranked: Vec<(usize, f64)> = among.iter().copied().zip(comparable_rms_px(&views)).collect();
+    let &(best, best_px) = ranked.iter().min_by(|(_, a_px), (_, b_px)| a_px.total_cmp(b_px))?;
     let is_biased = |idx: usize| trials[idx].bias_px > BIASED_SHARE * trials[idx].held_out_px;
-    let is_as_good = |idx: usize| {
+    let is_as_good = |&(idx, rms_px): &(usize, f64)| {
         if is_biased(idx) && !is_biased(best) {
             return false;
         }
         let (mean, error) = excess(&trials[idx].views, &trials[best].views);
-        let more = errors_px[idx] / errors_px[best] - 1.0;
+        let more = rms_px / best_px - 1.0;
         more <= NEGLIGIBLE_SHARE || (more <= NOTABLE_SHARE && mean <= SIGNIFICANT * error)
     };
-    among.iter().copied().filter(|&idx| idx == best || is_as_good(idx)).min_by(|&a, &b| {
-        let n_params = |idx: usize| trials[idx].model.param_count();
-        n_params(a).cmp(&n_params(b)).then(errors_px[a].total_cmp(&errors_px[b]))
-    })
+    let n_params = |idx: usize| trials[idx].model.param_count();
+    let as_good = ranked.into_iter().filter(|trial| trial.0 == best || is_as_good(trial));
+    let simplest =
+        as_good.min_by(|&(a, a_px), &(b, b_px)| n_params(a).cmp(&n_params(b)).then(a_px.total_cmp(&b_px)));
+    simplest.map(|(idx, _)| idx)
 }
 
 #[cfg(test)]

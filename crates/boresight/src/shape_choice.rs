@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::calibrate::set_shape;
 use crate::select::as_one_camera;
-use crate::trial::{Fit, Terms, Trial, ViewErrors, excess, rms_px, without};
+use crate::trial::{Fit, Terms, Trial, ViewErrors, comparable_rms_px, excess, without};
 
 /// Which shape of the targets helps, and why.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,7 +16,8 @@ pub struct ShapeSelection {
     /// The shape with the fewest coefficients of those that predict views that took no part about as well as any: one with
     /// more must predict them better by more than a standard error.
     pub shape: Shape,
-    /// The root of the mean squared distance of corners in views that took no part, in pixels, with each shape tried.
+    /// The root of the mean squared distance of corners in views that took no part, in pixels, with each shape tried; over
+    /// the views that all of them kept.
     pub held_out_px: Vec<(Shape, f64)>,
     /// Both in a sentence.
     pub why: String,
@@ -77,7 +78,9 @@ pub(crate) fn choose_shape(
 
 /// Chooses by the errors of views that took no part.
 fn select(views: &[(Shape, ViewErrors)]) -> ShapeSelection {
-    let held_out_px: Vec<(Shape, f64)> = views.iter().map(|(shape, views)| (*shape, rms_px(views))).collect();
+    let (shapes, errors): (Vec<Shape>, Vec<&ViewErrors>) =
+        views.iter().map(|(shape, views)| (*shape, views)).unzip();
+    let held_out_px: Vec<(Shape, f64)> = shapes.into_iter().zip(comparable_rms_px(&errors)).collect();
     let mut chosen: Option<&(Shape, ViewErrors)> = None;
     for rival in views.iter().filter(|(_, views)| views.iter().any(Option::is_some)) {
         let is_better = chosen.is_none_or(|(_, known)| {

@@ -138,6 +138,21 @@ pub(crate) fn rms_px(views: &ViewErrors) -> f64 {
     if n > 0 { (square / n as f64).sqrt() } else { f64::INFINITY }
 }
 
+/// Returns the root of the mean squared distance of corners for each of several choices, in pixels, over the views that all
+/// of them kept: who leaves out what is hard is none the better for it. Where they share none, each is over its own.
+pub(crate) fn comparable_rms_px(choices: &[&ViewErrors]) -> Vec<f64> {
+    let n_views = choices.iter().map(|views| views.len()).min().unwrap_or(0);
+    let is_common = |view: &usize| choices.iter().all(|views| views[*view].is_some());
+    let common: Vec<usize> = (0..n_views).filter(is_common).collect();
+    let over_common = |views: &&ViewErrors| rms_px(&common.iter().map(|&view| views[view]).collect());
+    let over_own = |views: &&ViewErrors| rms_px(views);
+    if common.is_empty() {
+        choices.iter().map(over_own).collect()
+    } else {
+        choices.iter().map(over_common).collect()
+    }
+}
+
 /// Returns by how much the sum of squares per view exceeds another's, and the standard error of that.
 pub(crate) fn excess(views: &ViewErrors, others: &ViewErrors) -> (f64, f64) {
     let both = views.iter().zip(others);
@@ -220,6 +235,15 @@ fn bias_px(residuals: impl Iterator<Item = Residual>, image_size: [u32; 2]) -> f
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rivals_are_compared_over_the_views_that_all_of_them_kept() {
+        let (whole, less) = (vec![Some((2.0, 2)), Some((800.0, 2))], vec![Some((4.5, 2)), None]);
+        assert_eq!(comparable_rms_px(&[&whole, &less]), [1.0, 1.5]);
+        let other = vec![None, Some((8.0, 2))];
+        assert_eq!(comparable_rms_px(&[&less, &other]), [1.5, 2.0]);
+        assert!(comparable_rms_px(&[]).is_empty());
+    }
 
     #[test]
     fn chance_is_no_bias() {
