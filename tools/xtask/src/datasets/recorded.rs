@@ -69,6 +69,11 @@ struct Mrcal {
 /// `program` is ours; without it the release build is made and taken.
 pub(super) fn run(named: &[String], program: Option<PathBuf>, keep_docs: bool) -> anyhow::Result<ExitCode> {
     let sets = RecordedSets::read()?;
+    let is_known = |name: &&String| sets.set.iter().any(|set| set.name.contains(name.as_str()));
+    if let Some(unknown) = named.iter().find(|name| !is_known(name)) {
+        let known: Vec<&str> = sets.set.iter().map(|set| set.name.as_str()).collect();
+        bail!("no recorded set has {unknown} in its name; there are {}", known.join("; "));
+    }
     let folder = root().join(DATASETS);
     if !folder.is_dir() {
         bail!("{} is not there", folder.display());

@@ -36,7 +36,7 @@ pub(super) struct Set {
     /// The images of each camera within the folder, for OpenCV; none takes the corner file.
     #[serde(default)]
     pub images: Vec<String>,
-    /// The size of the images, where there are corners only.
+    /// The size of the images, for corner files and for mrcal.
     pub image_size: Option<[u32; 2]>,
     /// A regular expression over the files' names with the groups `frame` and, for several cameras, `camera`.
     #[serde(default = "any_name")]
