@@ -23,13 +23,7 @@ pub(crate) const DETECTIONS_FILE: &str = "detections.json";
 /// Calibrates, writes, and prints the summary or the calibration.
 pub(crate) fn run(arguments: &CalibrateArguments) -> Result<ExitCode, Failure> {
     let begin = Instant::now();
-    if arguments.output.is_file() {
-        let message = format!(
-            "{} cannot be written: it is a file, and results take a folder",
-            arguments.output.display()
-        );
-        return Err(Failure::new(Reason::CannotWrite, message).with_hint("name another folder with -o"));
-    }
+    inputs::refuse_file(&arguments.output)?;
     let detections = arguments.output.join(DETECTIONS_FILE);
     let job = inputs::load_remembering(&arguments.input, &detections, arguments.jobs)?;
     let options = layered(&job, arguments)?;

@@ -164,6 +164,15 @@ pub(crate) fn load_remembering(
     load_with(arguments, RobotOverrides::default(), Some(cache), jobs)
 }
 
+/// Returns an error if there is a file where a folder is to be.
+pub(crate) fn refuse_file(folder: &Path) -> Result<(), Failure> {
+    if !folder.is_file() {
+        return Ok(());
+    }
+    let message = format!("{} cannot be written: it is a file, and results take a folder", folder.display());
+    Err(Failure::new(Reason::CannotWrite, message).with_hint("name another folder with -o"))
+}
+
 /// What inputs are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum InputKind {
@@ -280,8 +289,10 @@ fn load_with(
     let inputs = paths(arguments)?;
     let mut overrides = JobOverrides { robot, ..overrides(arguments) };
     // A mistake in the options is told before the time of a detection is spent.
+    let check_cache = || cache.and_then(Path::parent).map_or(Ok(()), refuse_file);
     if let Some(recordings) = load_recordings(&inputs, &overrides)? {
         refuse_idle_flags(arguments, InputKind::Recordings)?;
+        check_cache()?;
         let (table, place) = recordings.options();
         let threads = jobs.unwrap_or(CalibrateOptions::of_table(table, place)?.jobs);
         let (contents, seen) = with_threads(threads, || detect_in_recordings(&recordings, cache))?;
@@ -289,6 +300,7 @@ fn load_with(
     }
     if let Some(images) = load_images(&inputs, &overrides)? {
         refuse_idle_flags(arguments, InputKind::Images)?;
+        check_cache()?;
         let (table, place) = images.options();
         let threads = jobs.unwrap_or(CalibrateOptions::of_table(table, place)?.jobs);
         let seen = with_threads(threads, || detect_in_images(&images, cache))?;

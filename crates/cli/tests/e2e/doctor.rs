@@ -51,6 +51,10 @@ fn what_is_wrong_with_images_is_told_at_once() {
     for part in ["unreadable-image]: right-20.png", "duplicate-images]: left-20.png", "the cautions above"] {
         assert!(text.contains(part), "{part}: {text}");
     }
+    // A file in the way is told before anything is detected.
+    let refused = boresight(folder.path(), &["doctor", "recording", "-o", "recording/boresight.toml"]);
+    assert_eq!(refused.code, Some(5), "{}", refused.stderr);
+    assert!(refused.stderr.contains("it is a file, and results take a folder"), "{}", refused.stderr);
     // A board of another size is told, with the right one.
     let run = boresight(folder.path(), &["doctor", "recording", "--target", "chessboard:8x6:40mm"]);
     let told = format!("{}{}", run.text(), run.stderr);
