@@ -145,9 +145,7 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     let mut seed = first.calibration.scene.clone();
     seed.robot = Some(Robot::mounted(mounting, hand_eye.carrier_from_rig, hand_eye.other_from_target));
     let misread = findings.iter().find(|finding| finding.code == "robot-poses-read");
-    let seed = optimize(&dataset, &seed, &exact)
-        .map_err(|why| Error::PosesMisfit { why, finding: misread.cloned().map(Box::new) })?
-        .scene;
+    let seed = optimize(&dataset, &seed, &exact).map_err(|why| not_begun(why, misread))?.scene;
 
     let mut methods =
         compare::closed_forms(&dataset, &first.calibration.scene, mounting, &frames, robot.axes);
@@ -240,6 +238,17 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     let chosen = n_closed + chosen;
     let clock = moving.as_ref().map(|moving| moving.clock);
     Ok(HandEyeOutcome { outcome, mounting, methods, chosen, frames, noise, working_points, clock, jackknife })
+}
+
+/// Returns why no adjustment begins from the robot's poses: the poses, where they put points out of view, or anything else.
+fn not_begun(why: boresight_adjust::Error, misread: Option<&Finding>) -> Error {
+    use boresight_adjust::Error as Of;
+    match why {
+        Of::SeedOutOfView { .. } | Of::Solver(_) => {
+            Error::PosesMisfit { why, finding: misread.cloned().map(Box::new) }
+        }
+        why => why.into(),
+    }
 }
 
 /// Returns touches for an adjustment whose residuals are in units of the pixels' stated sigmas.

@@ -125,6 +125,17 @@ fn both_mounts_are_calibrated_and_told_apart() {
 }
 
 #[test]
+fn poses_are_blamed_for_points_out_of_view_alone() {
+    let unseen = not_begun(boresight_adjust::Error::SeedOutOfView { view_idx: 3 }, None);
+    assert!(unseen.to_string().contains("poses do not go with what the cameras saw"), "{unseen}");
+    assert!(unseen.hint().unwrap().contains("robot poses"));
+    let camera = boresight_data::CameraId(0);
+    let local = not_begun(boresight_adjust::Error::LocalLensOnRobot { camera, model: "splined3" }, None);
+    assert!(matches!(local, Error::Adjust(_)), "{local}");
+    assert!(local.to_string().starts_with("camera 0 has a splined3 lens"), "{local}");
+}
+
+#[test]
 fn the_wrong_mount_is_told() {
     let made = synthetic(RobotRecipe::on_flange(), Recipe::mono());
     let found =
