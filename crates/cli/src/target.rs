@@ -86,27 +86,27 @@ fn make(arguments: &MakeArguments) -> Result<ExitCode, Failure> {
             )
         }
     })?;
-    let mark = format!("# {name}; measure the print");
-    let job = format!("{mark} before use, and write here what it measures.\n[target]\nkind = \"{spec}\"\n");
+    let job = format!(
+        "# {name}; measure the print before use, and write here what it measures.\n[target]\nkind = \"{spec}\"\n"
+    );
     let job_name = format!("{stem}.toml");
     let folder = path.parent().unwrap_or(Path::new(""));
     let job_path = folder.join(&job_name);
     let job_path_shown = job_path.display();
-    if let Ok(there) = std::fs::read(&job_path)
-        && !there.starts_with(mark.as_bytes())
-    {
-        let message = format!("{job_path_shown} is there already, and was not written with {name}");
-        return Err(Failure::new(Reason::Usage, message).with_hint("name another file with -o"));
+    // What was measured may have been written there since.
+    if std::fs::read(&job_path).is_ok_and(|there| there != job.as_bytes()) {
+        let message = format!("{job_path_shown} is there already, and says something else");
+        return Err(Failure::new(Reason::Usage, message).with_hint("name another file with -o, or remove it"));
     }
     let paper = format!("{}, {}", path.display(), paper_in_words(&made.paper));
-    answer(job.as_bytes())?;
     write_files(
         folder,
         &[
             OutputFile { name: name.clone(), bytes: made.svg.as_bytes().to_vec() },
-            OutputFile { name: job_name, bytes: job.into_bytes() },
+            OutputFile { name: job_name, bytes: job.clone().into_bytes() },
         ],
     )?;
+    answer(job.as_bytes())?;
     note(&format!("\nwritten: {paper}\nwritten: {job_path_shown}, its part of a job file\n"));
     note(&what_to_check(&arguments.target, &made));
     if let Some(hint) = upside_down(&arguments.target) {

@@ -63,6 +63,14 @@ fn a_job_of_the_same_name_is_not_overwritten_by_a_target() {
     assert!(run.stderr.contains("boresight.toml is there already"), "{}", run.stderr);
     assert_eq!(std::fs::read_to_string(folder.path().join("boresight.toml")).unwrap(), "[target]\n");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    // Neither is what was measured.
+    let make = ["target", "make", "chessboard:9x6:25mm", "-o", "board.svg"];
+    boresight(folder.path(), &make).good();
+    boresight(folder.path(), &make).good();
+    let measured = "[target]\nkind = \"chessboard:9x6:24.8mm\"\n";
+    std::fs::write(folder.path().join("board.toml"), measured).unwrap();
+    assert_eq!(boresight(folder.path(), &make).code, Some(2));
+    assert_eq!(std::fs::read_to_string(folder.path().join("board.toml")).unwrap(), measured);
 }
 
 #[test]
