@@ -252,13 +252,15 @@ fn a_cameras_uncertainty_is_its_scatter() {
     check("mono", Recipe::mono(), 100);
 }
 
-/// Returns one camera whose lens is a spline, in front of more frames as it has more parameters.
+/// Returns one camera whose lens is a spline, in front of as many frames as tell its knots. From 40 frames, 12x10 knots are
+/// known so badly at the border that what they do is far from linear, and everything scatters 2.5 times what is stated.
 fn splined() -> Recipe {
     let mut recipe = Recipe::mono();
-    let model = "splined3:12x10:80deg".parse().unwrap();
+    let model = "splined3:8x6:76deg".parse().unwrap();
     recipe.cameras[0].camera =
         convert(&recipe.cameras[0].camera, model, ImpliedRotation::None).unwrap().camera;
-    recipe.frames = 40;
+    recipe.frames = 200;
+    recipe.placement.image_share = 0.85;
     recipe
 }
 
