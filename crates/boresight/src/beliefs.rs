@@ -206,6 +206,14 @@ impl Beliefs<'_> {
             self.share(dataset, group, seed);
             adjust.shares.push(Share::Lens(group.clone()));
         }
+        for (id, placed) in seed.rig.cameras.enumerate() {
+            // The surface of a spline can say all that its core does, so that mrcal too leaves the core as it is.
+            let is_spline =
+                placed.as_ref().is_some_and(|placed| placed.camera.model.local_support().is_some());
+            if is_spline && !self.is_told(dataset, id) {
+                adjust.holds.extend((0..4).map(|param| Hold::LensParam(id, param)));
+            }
+        }
         for hold in &self.options.hold {
             self.hold(hold, dataset, seed, &mut adjust.holds)?;
         }
