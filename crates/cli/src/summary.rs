@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 
 use boresight::{
-    Calibration, CameraFit, CircleLayout, Dataset, Finding, Geometry, HeldOut, Id as _, RejectionReason,
-    RigCamera, Severity, Shape, Target, Verdict, sigma_of,
+    Calibration, Camera, CameraFit, CircleLayout, Dataset, Finding, Geometry, HeldOut, Id as _,
+    RejectionReason, RigCamera, Severity, Shape, Target, Verdict, sigma_of,
 };
 
 use crate::figures::{count, significant, to_sigma, with_sigma};
@@ -141,34 +141,64 @@ fn cameras(calibration: &Calibration) -> String {
 
 /// Returns a table of lens coefficients for each few cameras: parameters down, cameras across.
 fn lenses(calibration: &Calibration) -> Vec<String> {
-    let all: Vec<(&CameraFit, &RigCamera)> = calibrated(calibration).collect();
-    all.chunks(CAMERAS_ABREAST)
-        .filter_map(|some| {
-            let mut names: Vec<&str> = Vec::new();
-            for (_, RigCamera { camera, .. }) in some {
-                let params = camera.model.param_names();
-                names.extend(
-                    params.into_iter().skip(4).filter(|name| !names.contains(name)).collect::<Vec<_>>(),
-                );
+    let (splines, all): (Vec<_>, Vec<_>) =
+        calibrated(calibration).partition(|(_, placed)| placed.camera.model.local_support().is_some());
+    let splines =
+        splines.into_iter().filter_map(|(fit, placed)| knots(calibration, &fit.name, &placed.camera));
+    let tables = all.chunks(CAMERAS_ABREAST).filter_map(|some| {
+        let mut names: Vec<&str> = Vec::new();
+        for (_, RigCamera { camera, .. }) in some {
+            let params = camera.model.param_names();
+            names.extend(params.into_iter().skip(4).filter(|name| !names.contains(name)).collect::<Vec<_>>());
+        }
+        if names.is_empty() {
+            return None;
+        }
+        let mut head = vec!["lens".to_owned()];
+        head.extend(some.iter().map(|(fit, _)| fit.name.clone()));
+        let mut rows = vec![head];
+        for name in names {
+            let mut cells = vec![name.to_owned()];
+            for (fit, RigCamera { camera, .. }) in some {
+                let i = camera.model.param_names().iter().position(|param| *param == name);
+                let sigma = sigma_of(calibration, &format!("{}.{name}", fit.name));
+                cells.push(i.map_or_else(|| "-".to_owned(), |i| with_sigma(camera.params[i], sigma)));
             }
-            if names.is_empty() {
-                return None;
-            }
-            let mut head = vec!["lens".to_owned()];
-            head.extend(some.iter().map(|(fit, _)| fit.name.clone()));
-            let mut rows = vec![head];
-            for name in names {
-                let mut cells = vec![name.to_owned()];
-                for (fit, RigCamera { camera, .. }) in some {
-                    let i = camera.model.param_names().iter().position(|param| *param == name);
-                    let sigma = sigma_of(calibration, &format!("{}.{name}", fit.name));
-                    cells.push(i.map_or_else(|| "-".to_owned(), |i| with_sigma(camera.params[i], sigma)));
-                }
-                rows.push(cells);
-            }
-            Some(aligned(&rows))
-        })
-        .collect()
+            rows.push(cells);
+        }
+        Some(aligned(&rows))
+    });
+    tables.chain(splines).collect()
+}
+
+/// Says how well the knots of a splined lens are known, in pixels; there are too many to show.
+fn knots(calibration: &Calibration, name: &str, camera: &Camera) -> Option<String> {
+    let grid = camera.model.local_support()?;
+    let uncertainty = &calibration.uncertainty;
+    let n = uncertainty.names.len();
+    let noise_variance = uncertainty.noise_factor.powi(2);
+    let mut seen_px: Vec<f64> = Vec::new();
+    for param in &camera.model.param_names()[4..] {
+        let place = uncertainty.names.iter().position(|known| *known == format!("{name}.{param}"))?;
+        let variance = uncertainty.covariance[place * (n + 1)];
+        // The share of what is known that was believed before.
+        let believed = uncertainty.regularization_information.get(place)? * variance / noise_variance;
+        if believed < 0.5 {
+            seen_px.push(camera.params[0] * variance.sqrt());
+        }
+    }
+    seen_px.sort_by(f64::total_cmp);
+    let (middle, most) = (seen_px.get(seen_px.len() / 2)?, seen_px.last()?);
+    Some(format!(
+        "spline  {name}: {} x {} knots along x and y; corners tell {} of {} numbers, the middle one to {} px, the worst to {} px;\n        \
+         the others are believed alone\n",
+        grid.columns,
+        grid.rows,
+        seen_px.len(),
+        camera.params.len() - 4,
+        significant(*middle),
+        significant(*most),
+    ))
 }
 
 /// Returns where the cameras sit, or `None` of a single camera.
