@@ -171,33 +171,25 @@ fn lenses(calibration: &Calibration) -> Vec<String> {
     tables.chain(splines).collect()
 }
 
-/// Says how well the knots of a splined lens are known, in pixels; there are too many to show.
+/// Says how many knots of a splined lens are known. Their sigmas are not those of pixels: all of them turn together.
 fn knots(calibration: &Calibration, name: &str, camera: &Camera) -> Option<String> {
     let grid = camera.model.local_support()?;
     let uncertainty = &calibration.uncertainty;
-    let n = uncertainty.names.len();
-    let noise_variance = uncertainty.noise_factor.powi(2);
-    let mut seen_px: Vec<f64> = Vec::new();
-    for param in &camera.model.param_names()[4..] {
-        let place = uncertainty.names.iter().position(|known| *known == format!("{name}.{param}"))?;
-        let variance = uncertainty.covariance[place * (n + 1)];
-        // The share of what is known that was believed before.
-        let believed = uncertainty.regularization_information.get(place)? * variance / noise_variance;
-        if believed < 0.5 {
-            seen_px.push(camera.params[0] * variance.sqrt());
-        }
-    }
-    seen_px.sort_by(f64::total_cmp);
-    let (middle, most) = (seen_px.get(seen_px.len() / 2)?, seen_px.last()?);
+    let params = camera.model.param_names().into_iter().skip(4).map(|param| format!("{name}.{param}"));
+    let places = params.map(|param| uncertainty.names.iter().position(|known| *known == param));
+    // The share of what is known of a number that was believed before.
+    let believed = |place: usize| {
+        let variance = uncertainty.covariance[place * (uncertainty.names.len() + 1)];
+        Some(uncertainty.regularization_information.get(place)? * variance / uncertainty.noise_factor.powi(2))
+    };
+    let believed: Option<Vec<f64>> = places.map(|place| believed(place?)).collect();
+    let told = believed?.into_iter().filter(|share| *share < 0.5).count();
     Some(format!(
-        "spline  {name}: {} x {} knots along x and y; corners tell {} of {} numbers, the middle one to {} px, the worst to {} px;\n        \
-         the others are believed alone\n",
+        "spline  {name}: {} x {} knots along x and y; corners tell {told} of their {} numbers, the others are believed alone;\n        \
+         `boresight uncertainty` says how well it projects\n",
         grid.columns,
         grid.rows,
-        seen_px.len(),
         camera.params.len() - 4,
-        significant(*middle),
-        significant(*most),
     ))
 }
 
