@@ -7,7 +7,7 @@ use boresight_data::{Finding, Observation, Severity, Target};
 
 use crate::assemble::{CameraSpec, assemble, natural_order};
 use crate::image_files::{ImageFile, find_images};
-use crate::image_names::{Listed, assign};
+use crate::image_names::{Listed, Taken, assign};
 use crate::image_pixels::{ReadImage, image_from_bytes};
 use crate::job::{Head, Job, JobOverrides, hash, head_beside, named_inputs, read, robot_of, set_times};
 use crate::robot_input::RobotOverrides;
@@ -19,8 +19,10 @@ pub struct ImageJob {
     /// The images, in natural order of their names.
     pub images: Vec<ImageFile>,
     head: Head,
-    /// The cameras that were named with patterns in place of the job's.
-    cameras: Vec<(String, String)>,
+    /// The cameras that the job lists, or those that were named with patterns in its place.
+    listed: Vec<Listed>,
+    /// Who took each image.
+    taken: Vec<Option<Taken>>,
     /// What replaces the job's robot.
     robot: RobotOverrides,
 }
@@ -46,7 +48,8 @@ pub struct SeenImage {
 
 /// Returns the job of the images among `inputs` (files, folders, patterns), or `None` if there are none.
 ///
-/// A job file beside the images tells target, cameras and options.
+/// A job file beside the images tells target, cameras and options. Names that do not tell which camera took an image
+/// are an error here, before anybody looks at the images.
 pub fn load_images(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Option<ImageJob>, Error> {
     let (mut images, others) = find_images(inputs)?;
     if images.is_empty() {
@@ -55,7 +58,16 @@ pub fn load_images(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Optio
     let Some(first) = images.first() else { return Ok(None) };
     let head = head_beside("image", &first.path, &others, overrides)?;
     let robot = overrides.robot.clone();
-    Ok(Some(ImageJob { images, head, cameras: overrides.cameras.clone(), robot }))
+    let listed: Vec<Listed> = if overrides.cameras.is_empty() {
+        head.job.cameras.iter().map(|spec| spec.listed.clone()).collect()
+    } else {
+        let named =
+            |(name, pattern): &(String, String)| Listed { name: name.clone(), images: Some(pattern.clone()) };
+        overrides.cameras.iter().map(named).collect()
+    };
+    let names: Vec<&str> = images.iter().map(|image| image.name.as_str()).collect();
+    let taken = assign("the images", &names, &listed)?;
+    Ok(Some(ImageJob { images, head, listed, taken, robot }))
 }
 
 /// Reads an image, and returns the hash of its file with it.
@@ -80,14 +92,7 @@ impl ImageJob {
     /// What cannot be used becomes a finding: unreadable images, copies, and those of another size than most of their
     /// camera. It is an error if nothing was detected at all.
     pub fn with_detections(self, seen: Vec<Result<SeenImage, Error>>) -> Result<Job, Error> {
-        let Self { images, mut head, cameras, robot } = self;
-        let names: Vec<&str> = images.iter().map(|image| image.name.as_str()).collect();
-        let listed: Vec<Listed> = if cameras.is_empty() {
-            head.job.cameras.iter().map(|spec| spec.listed.clone()).collect()
-        } else {
-            cameras.into_iter().map(|(name, pattern)| Listed { name, images: Some(pattern) }).collect()
-        };
-        let taken = assign("the images", &names, &listed)?;
+        let Self { images, mut head, listed, taken, robot } = self;
         let mut findings = Findings::default();
         let mut hashes = std::mem::take(&mut head.hashes);
         let mut first_of: BTreeMap<String, &str> = BTreeMap::new();

@@ -13,7 +13,8 @@
 //!    `camera` tells the camera; otherwise there is one camera.
 //!
 //! In rules 3 and 4 the frame is the numbers of the rest where they tell all images of a camera apart,
-//! and else the whole rest. Anything else is ambiguous: an error that asks for patterns.
+//! and else the whole rest. Frames of several cameras whose numbers differ in leading zeros only (`1`, `001`) are one.
+//! Anything else is ambiguous: an error that asks for patterns.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -41,7 +42,7 @@ pub(crate) struct Taken {
 pub(crate) fn assign(file: &str, images: &[&str], listed: &[Listed]) -> Result<Vec<Option<Taken>>, Error> {
     let ambiguous = |why: String| Error::AmbiguousNames { file: file.to_owned(), why };
     if listed.iter().any(|camera| camera.images.is_some()) {
-        return by_pattern(images, listed).map_err(ambiguous);
+        return by_pattern(images, listed).map(alike).map_err(ambiguous);
     }
     let halves = match listed {
         [] => by_structure(images).map_err(ambiguous)?,
@@ -51,7 +52,40 @@ pub(crate) fn assign(file: &str, images: &[&str], listed: &[Listed]) -> Result<V
         several => by_name(images, several).map_err(ambiguous)?,
     };
     let taken = if listed.len() == 1 { named(halves, str::to_owned) } else { with_frames(halves) };
-    Ok(taken.into_iter().map(Some).collect())
+    Ok(alike(taken.into_iter().map(Some).collect()))
+}
+
+/// Gives frames one name whose names differ in leading zeros only, `1` in one camera and `001` in another: the longest.
+///
+/// Where one camera has both, zeros tell frames apart, and all names stay.
+fn alike(taken: Vec<Option<Taken>>) -> Vec<Option<Taken>> {
+    let mut longest: BTreeMap<String, String> = BTreeMap::new();
+    let mut of_cameras: BTreeSet<(String, String)> = BTreeSet::new();
+    let mut keeps_zeros = false;
+    for Taken { camera, frame } in taken.iter().flatten().collect::<BTreeSet<&Taken>>() {
+        let number = without_leading_zeros(frame);
+        keeps_zeros |= !of_cameras.insert((camera.clone(), number.clone()));
+        let known = longest.entry(number).or_default();
+        if frame.len() > known.len() {
+            known.clone_from(frame);
+        }
+    }
+    if keeps_zeros {
+        return taken;
+    }
+    let renamed = |Taken { camera, frame }: Taken| {
+        let frame = longest.get(&without_leading_zeros(&frame)).cloned().unwrap_or(frame);
+        Taken { camera, frame }
+    };
+    taken.into_iter().map(|taken| taken.map(renamed)).collect()
+}
+
+/// Returns a text with one number without the zeros that this begins with; one with several numbers, which may be the
+/// decimals of a time, as it is.
+fn without_leading_zeros(text: &str) -> String {
+    let [number] = numbers(text)[..] else { return text.to_owned() };
+    let short = number.trim_start_matches('0');
+    text.replacen(number, if short.is_empty() { "0" } else { short }, 1)
 }
 
 fn named(halves: Vec<(String, String)>, frame: impl Fn(&str) -> String) -> Vec<Taken> {
@@ -376,6 +410,20 @@ mod tests {
         );
         check("left-right.jpg", &["left", "right"], "error left-right.jpg holds the names of");
         check("3.png 4.png", &["only"], "only:3 only:4");
+    }
+
+    #[test]
+    fn leading_zeros_part_no_frames() {
+        let two = "cam0/1.jpg cam0/2.jpg cam0/10.jpg cam1/001.jpg cam1/002.jpg cam1/010.jpg";
+        let expected = "cam0:001 cam0:002 cam0:010 cam1:001 cam1:002 cam1:010";
+        check(two, &[], expected);
+        check(two, &["cam0", "cam1"], expected);
+        check("cam0/1.jpg cam1/001.jpg", &["a=cam0/*.jpg", "b=cam1/*.jpg"], "a:001 b:001");
+        // One camera has both: they are two frames.
+        check("l1.jpg l01.jpg r01.jpg", &["l=l*.jpg", "r=r*.jpg"], "l:1 l:01 r:01");
+        // Decimals of a time.
+        check("l1.05.jpg r1.5.jpg", &["l=l*.jpg", "r=r*.jpg"], "l:1.05 r:1.5");
+        check("0.png 00.png", &["only"], "only:0 only:00");
     }
 
     #[test]
