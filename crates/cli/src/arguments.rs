@@ -252,7 +252,7 @@ pub(crate) enum Rotation {
 pub(crate) struct ExportArguments {
     /// A calibration.json, or the folder it is in
     pub result: PathBuf,
-    /// The format: json, opencv, cameramodel, mcap, h-matrix, h-matrix-json or h-matrix-npy
+    /// The format: json, opencv, cameramodel, kalibr, ros, mcap, h-matrix, h-matrix-json or h-matrix-npy
     #[arg(long, value_name = "FORMAT")]
     pub to: String,
     /// The folder for the files; made if it does not exist

@@ -398,6 +398,10 @@ impl Error {
         let text = |text: &str| Some(text.to_owned());
         match self {
             Error::CannotCarry { instead, .. } if instead.is_empty() => None,
+            Error::CannotCarry { format: "kalibr" | "ros", instead, .. } => Some(format!(
+                "exchange the lens: boresight convert RESULT --model opencv4 -o DIR; or take another format: {}",
+                instead.join(", ")
+            )),
             Error::CannotCarry { instead, .. } => Some(format!("these formats can: {}", instead.join(", "))),
             Error::TableColumn { example, .. } => {
                 Some(format!("names of columns have their units, such as `{example}`"))

@@ -10,8 +10,8 @@ use crate::error::closest;
 use crate::job::read;
 use crate::seen::SeenFile;
 use crate::{
-    Error, calibration_json, cameramodel, corners_csv, corners_vnl, foxglove_mcap, h_matrix, opencv_yaml,
-    write_atomically,
+    Error, calibration_json, cameramodel, corners_csv, corners_vnl, foxglove_mcap, h_matrix, kalibr,
+    opencv_yaml, ros_camera_info, write_atomically,
 };
 
 /// A file format: what can be read from it and written to it.
@@ -55,6 +55,8 @@ pub const FORMATS: &[Format] = &[
     Format { name: "json", about: "Boresight's own calibration.json, lossless", extensions: &["json"], recognizes: calibration_json::recognizes, read_cameras: Some(calibration_json::read_cameras), export: Some(calibration_json::export), ..NONE },
     Format { name: "opencv", about: "OpenCV FileStorage YAML, as calibration.cpp and stereo_calib.cpp write it", extensions: &["yml", "yaml"], recognizes: opencv_yaml::recognizes, read_cameras: Some(opencv_yaml::read_cameras), export: Some(opencv_yaml::export), carries: opencv_yaml::carries, ..NONE },
     Format { name: "cameramodel", about: "mrcal .cameramodel, one file per camera", extensions: &["cameramodel"], recognizes: cameramodel::recognizes, read_cameras: Some(cameramodel::read_cameras), export: Some(cameramodel::export), carries: cameramodel::carries, ..NONE },
+    Format { name: "kalibr", about: "Kalibr camchain.yaml: pinhole-radtan, pinhole-equi, omni-radtan, ds and eucm", extensions: &["yaml"], recognizes: kalibr::recognizes, read_cameras: Some(kalibr::read_cameras), export: Some(kalibr::export), carries: kalibr::carries, ..NONE },
+    Format { name: "ros", about: "ROS camera_info YAML, one file per camera, without its pose", extensions: &["yaml"], export: Some(ros_camera_info::export), carries: ros_camera_info::carries, ..NONE },
     Format { name: "h-matrix", about: "the matrices P, M and H = P M as text", extensions: &["txt"], export: Some(h_matrix::export_text), ..NONE },
     Format { name: "h-matrix-json", about: "the matrices P, M and H = P M as JSON", extensions: &["json"], export: Some(h_matrix::export_json), ..NONE },
     Format { name: "h-matrix-npy", about: "the matrices H as a NumPy array [camera, 3, 4]", extensions: &["npy"], export: Some(h_matrix::export_npy), ..NONE },

@@ -48,7 +48,11 @@ fn good(format: &Format) -> Option<Vec<u8>> {
         "vnl" => Some(b"# filename x y level\na 1 1 0\na 2 1 1\na - - -\na 2 2.25 0\nb - - -\n".to_vec()),
         _ => {
             format.read_cameras?;
-            let calibration = calibration(rig(&[("opencv5", lens(5)), ("opencv8", lens(8))]));
+            let lenses = match format.name {
+                "kalibr" => [("opencv4", lens(4)), ("eucm", lens(2))],
+                _ => [("opencv5", lens(5)), ("opencv8", lens(8))],
+            };
+            let calibration = calibration(rig(&lenses));
             export(&calibration, format.name).unwrap().pop().map(|file| file.bytes)
         }
     }

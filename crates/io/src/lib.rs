@@ -33,6 +33,7 @@ mod image_pixels;
 mod job;
 mod job_file;
 mod json_text;
+mod kalibr;
 mod number;
 mod observations_parquet;
 mod opencv_yaml;
@@ -44,6 +45,7 @@ mod robot_input;
 mod robot_job;
 mod robot_plane_json;
 mod robot_table;
+mod ros_camera_info;
 #[cfg(test)]
 mod samples;
 mod seen;
