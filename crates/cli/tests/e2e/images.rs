@@ -1,5 +1,6 @@
 //! From images: cameras found by the images' names, boards detected, and what is told where that fails.
 
+use std::io::Write as _;
 use std::path::Path;
 
 use boresight::{Camera, Geometry, Model, Pose, Shape, Target, Vector3};
@@ -9,14 +10,19 @@ use boresight_synthetic::{Exposure, render};
 use crate::{boresight, json};
 
 /// Photographs that the Debian package opencv-doc brings, and the sets kept beside the project.
-const PHOTOGRAPHS: [&str; 2] =
-    ["/usr/share/doc/opencv-doc/examples/data", "/work/shared/datasets/stereo-opencv-left-right/raw"];
+const PHOTOGRAPHS: [&str; 2] = [
+    "/usr/share/doc/opencv-doc/examples/data",
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/datasets/stereo-opencv-left-right/raw"),
+];
 
 #[test]
 fn photographs_of_a_stereo_pair_are_calibrated() {
     let Some(source) = PHOTOGRAPHS.iter().map(Path::new).find(|path| path.join("left01.jpg").is_file())
     else {
-        return eprintln!("skipped: there are no photographs in {}", PHOTOGRAPHS.join(" or "));
+        // Past the harness, which keeps to itself what passing tests print.
+        let _ =
+            writeln!(std::io::stderr(), "skipped: there are no photographs in {}", PHOTOGRAPHS.join(" or "));
+        return;
     };
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("images")).unwrap();
