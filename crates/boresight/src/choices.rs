@@ -43,20 +43,40 @@ impl<T> ByCamera<T> {
     }
 }
 
-impl<T: FromStr + Default> FromStr for ByCamera<T> {
-    type Err = T::Err;
+/// A list of choices, one for all cameras and others for some, that cannot be read.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum BadList<E> {
+    /// One of its choices.
+    #[error(transparent)]
+    Choice(E),
+    /// Two choices for the same.
+    #[error("`{text}` has two values for {what}")]
+    Twice {
+        /// The list.
+        text: String,
+        /// A camera, or all cameras.
+        what: String,
+    },
+}
 
-    fn from_str(text: &str) -> Result<Self, T::Err> {
-        let mut choice = Self { usual: T::default(), by_camera: BTreeMap::new() };
+impl<T: FromStr + Default> FromStr for ByCamera<T> {
+    type Err = BadList<T::Err>;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let (mut usual, mut by_camera) = (None, BTreeMap::new());
         for part in text.split(',') {
-            match part.split_once('=') {
-                None => choice.usual = part.parse()?,
+            let (before, what) = match part.split_once('=') {
+                None => (usual.replace(part.parse().map_err(BadList::Choice)?), "all cameras".to_owned()),
                 Some((camera, of_camera)) => {
-                    choice.by_camera.insert(camera.to_owned(), of_camera.parse()?);
+                    let of_camera = of_camera.parse().map_err(BadList::Choice)?;
+                    (by_camera.insert(camera.to_owned(), of_camera), format!("camera {camera}"))
                 }
+            };
+            if before.is_some() {
+                return Err(BadList::Twice { text: text.to_owned(), what });
             }
         }
-        Ok(choice)
+        Ok(Self { usual: usual.unwrap_or_default(), by_camera })
     }
 }
 

@@ -83,7 +83,7 @@ pub use boresight_seed::{Converted, ImpliedRotation, triangle_from_sides};
 pub use boresight_validate::{CameraLook, Looks, WeakestLink};
 pub use calibrate::{Outcome, Watch, calibrate, with_threads};
 pub use choices::{
-    BadChoice, ByCamera, HoldoutChoice, LensChoice, LensModel, LossChoice, RegularizationChoice,
+    BadChoice, BadList, ByCamera, HoldoutChoice, LensChoice, LensModel, LossChoice, RegularizationChoice,
     RejectChoice, ShapeChoice,
 };
 pub use convert::{ConvertedCamera, convert_lenses};

@@ -107,8 +107,24 @@ pub(crate) enum ClockChoice {
     Log,
 }
 
-/// Returns the inputs that the arguments name; those that do not exist are answered at once.
+/// Refuses a second image size for a camera, or for all.
+fn refuse_second_sizes(sizes: &[ImageSize]) -> Result<(), Failure> {
+    for (i, ImageSize { camera, size: [width, height] }) in sizes.iter().enumerate() {
+        if let Some(before) = sizes[..i].iter().find(|before| before.camera == *camera) {
+            let of = camera.as_ref().map_or("all cameras".to_owned(), |camera| format!("camera {camera}"));
+            let [first_width, first_height] = before.size;
+            let message = format!(
+                "--image-size is given twice for {of}: {first_width}x{first_height} and {width}x{height}"
+            );
+            return Err(Failure::new(Reason::Usage, message).with_hint("leave one out"));
+        }
+    }
+    Ok(())
+}
+
+/// Returns the inputs that the arguments name; those that do not exist are answered at once, and so is what is said twice.
 pub(crate) fn paths(arguments: &InputArguments) -> Result<Vec<PathBuf>, Failure> {
+    refuse_second_sizes(&arguments.image_size)?;
     let inputs: Vec<PathBuf> = arguments.config.iter().chain(&arguments.inputs).cloned().collect();
     for path in inputs.iter().filter(|path| !is_pattern(path)) {
         // Otherwise a mistyped name would be answered with a question about the target.
@@ -373,5 +389,14 @@ mod tests {
         for text in ["", "640", "640x", "0x480", "640x480x3", "=640x480", "-1x2", "left=640"] {
             assert!(size(text).is_err(), "{text}");
         }
+        let twice = |texts: &[&str]| {
+            let sizes: Vec<ImageSize> = texts.iter().map(|text| size(text).unwrap()).collect();
+            refuse_second_sizes(&sizes).is_err()
+        };
+        assert!(
+            !twice(&["1x1", "a=1x2", "b=1x2"])
+                && twice(&["1x1", "1x2"])
+                && twice(&["a=1x1", "b=1x1", "a=1x1"])
+        );
     }
 }
