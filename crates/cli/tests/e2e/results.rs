@@ -99,7 +99,9 @@ fn the_rest_answers() {
         assert!(boresight(folder.path(), &["completions", shell]).good().contains("calibrate"), "{shell}");
     }
     let codes = boresight(folder.path(), &["explain"]).good();
-    for code in codes.lines() {
+    for line in codes.lines() {
+        let (code, meaning) = line.split_once(' ').unwrap();
+        assert!(meaning.trim().len() > 20 && !meaning.contains("What it means"), "{line}");
         assert!(boresight(folder.path(), &["explain", code]).good().contains("How to fix it"), "{code}");
     }
     let unknown = boresight(folder.path(), &["explain", "few-view"]);
