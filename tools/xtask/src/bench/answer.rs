@@ -17,6 +17,8 @@ pub(crate) struct Answer {
     /// What the solver was restricted to, where it was.
     pub frames: Option<u64>,
     pub corners: Option<f64>,
+    /// The median wall time of all solves.
+    pub wall_s: Option<f64>,
     /// The least wall time of all solves.
     pub wall_s_least: Option<f64>,
     /// The least CPU time of an iteration, setting up not counted.

@@ -1,5 +1,7 @@
 //! Runs the rounds.
 
+use std::thread;
+
 use anyhow::{Context as _, bail};
 
 use crate::bench::answer::Answer;
@@ -37,6 +39,8 @@ pub(crate) struct Threads {
     pub label: &'static str,
     pub one: Vec<Answer>,
     pub two: Vec<Answer>,
+    /// Those of two processes at once, with a thread each: what the machine has to give to a second thread.
+    pub apart: Vec<[Answer; 2]>,
 }
 
 /// Runs all solvers on all problems in each round.
@@ -65,9 +69,16 @@ pub(crate) fn measure(solvers: &[Solver], problems: &[Problem], rounds: usize) -
                     label: problem.label,
                     one: Vec::new(),
                     two: Vec::new(),
+                    apart: Vec::new(),
                 });
                 threads.one.push(solve(ours, problem, REPEAT_ALONE, 1, false)?);
                 threads.two.push(solve(ours, problem, REPEAT_ALONE, 2, false)?);
+                let alone = || solve(ours, problem, REPEAT_ALONE, 1, false);
+                let [first, second] = thread::scope(|scope| {
+                    let other = scope.spawn(alone);
+                    [alone(), other.join().unwrap_or_else(|_| bail!("a process was not waited for"))]
+                });
+                threads.apart.push([first?, second?]);
             }
         }
     }

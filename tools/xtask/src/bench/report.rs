@@ -164,14 +164,19 @@ fn threads_table(threads: &Threads, differences: &mut Vec<String>) -> String {
     if !is_same {
         differences.push(format!("{}: Boresight's cost differs with the number of threads", threads.label));
     }
+    // What each of two did while the other ran too, so medians.
+    let alone_s = median(threads.one.iter().filter_map(|answer| answer.wall_s).collect());
+    let apart_s = median(threads.apart.iter().flatten().filter_map(|answer| answer.wall_s).collect());
+    let machine = alone_s.zip(apart_s).map(|(alone, apart)| 2.0 * alone / apart);
     markdown(
-        &["threads", "wall ms, one", "wall ms, two", "gain", "same bits"],
+        &["threads", "wall ms, one", "wall ms, two", "gain", "same bits", "gain of two processes at once"],
         &[vec![
             threads.label.to_owned(),
             cell(wall(&threads.one).map(|s| s * 1e3)),
             cell(wall(&threads.two).map(|s| s * 1e3)),
             cell(gain),
             if is_same { "yes" } else { "no" }.to_owned(),
+            cell(machine),
         ]],
     )
 }
@@ -197,7 +202,8 @@ mod tests {
         let ours = [1.0e-3, 2.0e-3, 9.0e-3].map(|s| answer(s, 870.5)).to_vec();
         // The third round was busy for both.
         let theirs = [50e-3, 100e-3, 450e-3].map(|s| answer(s, their_cost)).to_vec();
-        let threads = Threads { label: "8x200", one: ours.clone(), two: ours.clone() };
+        let apart = vec![[ours[0].clone(), ours[1].clone()]];
+        let threads = Threads { label: "8x200", one: ours.clone(), two: ours.clone(), apart };
         let solvers = vec![("Boresight", ours), ("mrcal", theirs)];
         Measured {
             rounds: 3,
