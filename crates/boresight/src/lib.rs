@@ -32,6 +32,7 @@ mod lens_choice;
 mod line_delay;
 mod locate;
 mod options;
+mod planar;
 mod recording_texts;
 mod recordings;
 mod results;
@@ -70,7 +71,7 @@ pub use boresight_io::{
     read_cameras, read_image, read_observations, read_planar_motions, read_plane, read_robot_job,
     read_sights_job, survey_recordings, target_spec, write_atomically, write_files,
 };
-pub use boresight_seed::planar_robot::{PLANAR_NAMES, PlanarError, PlanarMotion, PlanarRobot, planar_robot};
+pub use boresight_seed::planar_robot::{PLANAR_NAMES, PlanarError, PlanarMotion, PlanarRobot};
 pub use boresight_synthetic::{FirstSquare, NotDrawn, Paper, Print, Sheet, sheet};
 pub use boresight_validate::{
     AtDistance, CompareOptions, ComparedCamera, Method, ProjectionUncertainty, Propagation, RigComparison,
@@ -106,6 +107,7 @@ pub use line_delay::{LineDelayChoice, LineDelayUse};
 pub use locate::{Candidate, LocatePoint, Located, locate};
 pub use options::CalibrateOptions;
 pub use recordings::detect_recordings;
+pub use planar::{PLANAR_SCHEMA, PlanarOutcome, planar, planar_to_json};
 pub use results::{RESULT_FILES, result_files, sigma_of, write_results};
 pub use shape_choice::ShapeSelection;
 pub use time_offset::TimeOffsetChoice;

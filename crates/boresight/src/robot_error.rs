@@ -2,6 +2,7 @@
 
 use boresight_adjust::{ObjectPoseError, SightedPointError, TouchError};
 use boresight_seed::ThreePointError;
+use boresight_seed::planar_robot::PlanarError;
 
 use crate::error::ErrorKind;
 
@@ -84,6 +85,9 @@ impl RobotError {
     }
 
     /// Returns what to do about it, where that is not obvious.
+    /// The robot on wheels cannot be calibrated.
+    #[error(transparent)]
+    Planar(#[from] PlanarError),
     pub fn hint(&self) -> Option<String> {
         let text = match self {
             Self::NoSuchCamera { name, .. } if name.is_empty() => "say which one with --camera NAME",

@@ -117,4 +117,24 @@ pub(crate) const TEXTS: &[(&str, &str)] = &[
          no calibration of it was given. The covariance that was written is widened accordingly.\n\n\
          How to fix it: state the robot's absolute accuracy, usually 0.3 to 1 mm, mend outlying touches, or give a calibrated lens.",
     ),
+    (
+        "planar-many-left-out",
+        "What it means: more than a tenth of the intervals of a robot on wheels do not fit the others within four sigmas.\n\n\
+         Why it matters: some bad scan matches are usual; many of them, or one kind of motion left out as a whole, mean that the\n\
+         rest is not what it seems.\n\n\
+         How to fix it: look for slipping wheels, bad matches of the sensor's scans, and clocks that are apart.",
+    ),
+    (
+        "planar-uncertain",
+        "What it means: a wheel's radius or the axle is known to a few percent only.\n\n\
+         Why it matters: every way and turn that is computed from the wheels is off by as much.\n\n\
+         How to fix it: record more intervals; turns on the spot tell the axle, straight ways the wheels, curves the sensor's place.",
+    ),
+    (
+        "planar-unit",
+        "What it means: a wheel's radius came out as no wheel's, or negative.\n\n\
+         Why it matters: a unit or a sign of the motions is wrong, and every number of the result with it.\n\n\
+         How to fix it: give durations in seconds, speeds of wheels in radians a second, positive forward, and the sensor's\n\
+         motion in metres and radians; check that left and right are not exchanged.",
+    ),
 ];

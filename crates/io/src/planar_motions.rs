@@ -1,4 +1,4 @@
-//! Motions of a planar robot with two wheels: one JSON object a line, `{"T": s, "phi_l": rad/s, "phi_r": rad/s,
+//! Motions of a planar robot with two wheels: JSON objects, one or more a line, `{"T": s, "phi_l": rad/s, "phi_r": rad/s,
 //! "sm": [x, y, theta]}`, as Censi et al. published theirs.
 
 use serde::Deserialize;
@@ -23,17 +23,19 @@ pub struct PlanarMotionRow {
     pub sensor_motion: [f64; 3],
 }
 
-/// Reads a file of motions, skipping those that have no number somewhere.
+/// Reads a file of motions.
 pub fn read_planar_motions(file: &str, bytes: &[u8]) -> Result<Vec<PlanarMotionRow>, Error> {
     let text = String::from_utf8_lossy(bytes);
     let mut rows = Vec::new();
     for (i, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-        let row: PlanarMotionRow = serde_json::from_str(line).map_err(|error| Error::Malformed {
-            place: Place::line(file, i + 1),
-            found: error.to_string(),
-            need: "a line is {\"T\": s, \"phi_l\": rad/s, \"phi_r\": rad/s, \"sm\": [x, y, theta]}",
-        })?;
-        rows.push(row);
+        // Where recordings were joined, the last of one and the first of the next share a line.
+        for row in serde_json::Deserializer::from_str(line).into_iter::<PlanarMotionRow>() {
+            rows.push(row.map_err(|error| Error::Malformed {
+                place: Place::line(file, i + 1),
+                found: error.to_string(),
+                need: "a motion is {\"T\": s, \"phi_l\": rad/s, \"phi_r\": rad/s, \"sm\": [x, y, theta]}",
+            })?);
+        }
     }
     if rows.is_empty() {
         return Err(Error::Empty { file: file.to_owned() });
@@ -50,9 +52,15 @@ mod tests {
         let text = "{ \"T\": 0.5, \"phi_l\": 1e-1, \"phi_r\": -2, \"sm\": [ 1, 2, 3 ] }\n\n";
         let rows = read_planar_motions("m.tuple", text.as_bytes()).unwrap();
         assert_eq!((rows.len(), rows[0].right_rad_per_s, rows[0].sensor_motion[2]), (1, -2.0, 3.0));
-        for (text, part) in
-            [("", "m.tuple: the file is empty"), ("{}\n", "m.tuple:1: "), ("{\n", "m.tuple:1: ")]
-        {
+        let line = text.lines().next().unwrap();
+        let joined = read_planar_motions("m.tuple", format!("{line}{line}\n{line}").as_bytes()).unwrap();
+        assert_eq!(joined, [rows[0]; 3]);
+        for (text, part) in [
+            ("", "m.tuple: the file is empty"),
+            ("{}\n", "m.tuple:1: "),
+            ("{\n", "m.tuple:1: "),
+            ("{}x", "m.tuple:1: "),
+        ] {
             let error = read_planar_motions("m.tuple", text.as_bytes()).unwrap_err().to_string();
             assert!(error.contains(part), "`{part}` is not in: {error}");
         }

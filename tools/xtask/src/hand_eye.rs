@@ -1,5 +1,6 @@
 //! `cargo xtask hand-eye`: calibrates the recorded robots and writes the tables of `docs/hand-eye.md`.
 
+mod planar;
 mod poses;
 
 use std::collections::BTreeMap;
@@ -118,6 +119,7 @@ pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
     ];
     let text = [
         markdown(&head, &headlines),
+        planar::table()?,
         markdown(&["recording, method", "mean mm", "95 % mm", "most mm"], &methods),
         poses::tables()?,
     ]

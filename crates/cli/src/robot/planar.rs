@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use boresight::{PLANAR_NAMES, PlanarMotion, planar_robot, read_planar_motions};
+use boresight::{PLANAR_NAMES, PlanarMotion, Severity, planar, planar_to_json, read_planar_motions};
 use clap::Args;
 
+use crate::calibrate::tell_findings;
 use crate::failure::{Failure, Reason};
 use crate::figures::with_sigma;
 use crate::streams::{answer, note};
@@ -13,8 +14,11 @@ use crate::table::{aligned, row};
 
 #[derive(Args, Debug)]
 pub(crate) struct PlanarArguments {
-    /// Motions, one JSON object a line: {"T": s, "phi_l": rad/s, "phi_r": rad/s, "sm": [x, y, theta]}
+    /// Motions, JSON objects: {"T": s, "phi_l": rad/s, "phi_r": rad/s, "sm": [x m, y m, theta rad]}
     pub motions: PathBuf,
+    /// Print one JSON document
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Calibrates wheels, axle and sensor of a planar robot and prints them.
@@ -30,20 +34,26 @@ pub(crate) fn run(arguments: &PlanarArguments) -> Result<ExitCode, Failure> {
             sensor_motion: row.sensor_motion,
         })
         .collect();
-    let found =
-        planar_robot(&motions).map_err(|error| Failure::new(Reason::Solve, format!("{file}: {error}")))?;
-    let mut rows = vec![row(["parameter", "value"])];
-    for (i, name) in PLANAR_NAMES.iter().enumerate() {
-        rows.push(vec![(*name).to_owned(), with_sigma(found.values[i], Some(found.sigmas[i]))]);
+    let outcome = planar(&motions)?;
+    let found = &outcome.robot;
+    if arguments.json {
+        answer(&planar_to_json(&outcome))?;
+    } else {
+        let mut rows = vec![row(["parameter", "value"])];
+        for (i, name) in PLANAR_NAMES.iter().enumerate() {
+            rows.push(vec![(*name).to_owned(), with_sigma(found.values[i], Some(found.sigmas[i]))]);
+        }
+        answer(aligned(&rows).as_bytes())?;
     }
-    answer(aligned(&rows).as_bytes())?;
+    tell_findings(&outcome.findings);
     let [metres, radians] = found.median_residuals;
     note(&format!(
         "{} of {} intervals used; median residual {:.3} mm, {:.4} deg",
         found.used,
-        motions.len(),
+        outcome.given,
         1e3 * metres,
         radians.to_degrees()
     ));
-    Ok(ExitCode::SUCCESS)
+    let failed = outcome.findings.iter().any(|finding| finding.severity == Severity::Fail);
+    Ok(ExitCode::from(u8::from(failed)))
 }
