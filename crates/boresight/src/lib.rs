@@ -33,6 +33,7 @@ mod line_delay;
 mod locate;
 mod options;
 mod planar;
+mod plane_sanity;
 mod recording_texts;
 mod recordings;
 mod results;

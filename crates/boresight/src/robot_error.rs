@@ -61,6 +61,18 @@ pub enum RobotError {
     /// A pixel does not lead to the plane.
     #[error("a pixel of the object does not lead to the robot's plane, or its surroundings do not")]
     NoPlace,
+    /// An object is said to be as high above the plane as the camera.
+    #[error(
+        "the object's points are said to be {:.1} mm above the plane, and the camera is {:.1} mm above it", 1e3 * height_m, 1e3 * camera_m
+    )]
+    AboveCamera {
+        /// Where it would be, in the base frame, in metres.
+        at_m: [f64; 2],
+        /// Its stated height, in metres.
+        height_m: f64,
+        /// The camera's.
+        camera_m: f64,
+    },
     /// The three points have no pose.
     #[error(transparent)]
     ThreePoint(#[from] ThreePointError),
@@ -73,24 +85,30 @@ pub enum RobotError {
     /// The robot's plane cannot be found.
     #[error(transparent)]
     Touch(#[from] TouchError),
+    /// The robot on wheels cannot be calibrated.
+    #[error(transparent)]
+    Planar(#[from] PlanarError),
 }
 
 impl RobotError {
     /// Returns who has to act.
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::NoSuchCamera { .. } | Self::NoPose { .. } | Self::BadOption { .. } => ErrorKind::Usage,
+            Self::NoSuchCamera { .. }
+            | Self::NoPose { .. }
+            | Self::BadOption { .. }
+            | Self::AboveCamera { .. } => ErrorKind::Usage,
             _ => ErrorKind::Solve,
         }
     }
 
     /// Returns what to do about it, where that is not obvious.
-    /// The robot on wheels cannot be calibrated.
-    #[error(transparent)]
-    Planar(#[from] PlanarError),
     pub fn hint(&self) -> Option<String> {
         let text = match self {
             Self::NoSuchCamera { name, .. } if name.is_empty() => "say which one with --camera NAME",
+            Self::AboveCamera { .. } => {
+                "check the unit of height_mm, which counts from the plane of the touches"
+            }
             Self::NoSolution { .. } => {
                 "are the points paired with the right pixels, and is it the calibration of this camera?"
             }

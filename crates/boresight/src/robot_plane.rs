@@ -12,6 +12,7 @@ use boresight_data::{Finding, PlaneModel, RobotPlane, Severity};
 use boresight_geometry::nalgebra::{DMatrix, Matrix4};
 
 use crate::error::Error;
+use crate::plane_sanity;
 use crate::robot_error::RobotError;
 
 /// A touched plane with what is doubtful about it.
@@ -82,7 +83,8 @@ pub fn robot_plane(
         }
     }
     let touched = touched_plane(touches, lens, options).map_err(RobotError::from)?;
-    let findings = findings(&touched, options);
+    let mut findings = findings(&touched, options);
+    findings.extend(plane_sanity::of_touches(&touched, touches, lens, options));
     let parallel = TouchOptions { model: Some(PlaneModel::Similarity), ..*options };
     let parallel = touched_plane(touches, None, &parallel).map_err(RobotError::from)?;
     Ok(PlaneOutcome { chapter: chapter_of(&parallel), findings, touched })
@@ -338,6 +340,11 @@ pub fn place_object(
         let need = "the standard deviation of a pixel must be positive";
         return Err(RobotError::BadOption { option: "sigma_px", value: sigma_px, need }.into());
     }
+    let angle_sigma_rad = match seen {
+        ObjectSeen::Origin { angle_sigma_rad, .. } => *angle_sigma_rad,
+        ObjectSeen::Points(_) => 0.0,
+    };
+    plane_sanity::check_stated(height_m, height_sigma_m, angle_sigma_rad)?;
     let lens = lens_of(plane)?;
     let height = height_m.unwrap_or(0.0);
     // Everything measured, in one row: pixels, the angle where it is given, and the height.
@@ -360,6 +367,7 @@ pub fn place_object(
         |plane: &RobotPlane, lens: Option<&Camera>, inputs: &[f64]| placed(plane, lens, seen, inputs);
     let no_place = || Error::from(RobotError::NoPlace);
     let (values, rms_m) = evaluate(plane, lens.as_ref(), &inputs).ok_or_else(no_place)?;
+    plane_sanity::check_height(plane, [values[0], values[1]], height)?;
     // Angles are compared near the found one, not across the cut at half a turn.
     let near = |mut found: [f64; 4]| {
         found[3] = values[3]
@@ -390,6 +398,11 @@ pub fn place_object(
         .map(|[x, y]| x.hypot(y));
     let sigma_m = covariance[(0, 0)].max(covariance[(1, 1)]).sqrt();
     let mut findings = height_findings(height_m, height_sigma_m, shift_per_height, sigma_m);
+    let pixels = match seen {
+        ObjectSeen::Origin { pixel, .. } => vec![*pixel],
+        ObjectSeen::Points(points) => points.iter().map(|(_, pixel)| *pixel).collect(),
+    };
+    findings.extend(plane_sanity::of_object(plane, &pixels, [values[0], values[1]]));
     if let Some(rms_m) = rms_m.filter(|rms_m| *rms_m > 5.0 * sigma_m) {
         findings.push(Finding {
             code: "object-misfit".to_owned(),

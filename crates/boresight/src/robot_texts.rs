@@ -12,6 +12,13 @@ pub(crate) const TEXTS: &[(&str, &str)] = &[
          has all of them with their covariance.",
     ),
     (
+        "camera-below-plane",
+        "What it means: the touches, and the pixels they are seen at, say that the camera looks at the plane from the side to\n\
+         which the robot's z axis does not point: from below, for most robots.\n\n\
+         Why it matters: a camera under a window does so. Where none is, the touches are mirrored.\n\n\
+         How to fix it: check that u and v, and x and y, are not exchanged, and that y has its sign.",
+    ),
+    (
         "few-touches",
         "What it means: the touches hardly outnumber the unknowns of the fit.\n\n\
          Why it matters: a bad touch cannot be told from a good one, and the stated sigmas rest on few residuals.\n\n\
@@ -79,10 +86,23 @@ pub(crate) const TEXTS: &[(&str, &str)] = &[
          How to fix it: add a column z_mm to the table if heights matter.",
     ),
     (
+        "object-beside-touches",
+        "What it means: an object lies far from where the plane was touched.\n\n\
+         Why it matters: the map is extrapolated there. Its stated sigma grows with the distance, but a table that is not flat,\n\
+         or a lens that was not calibrated so far out, is not in it.\n\n\
+         How to fix it: touch points around the place where parts lie.",
+    ),
+    (
         "object-misfit",
         "What it means: the seen points of an object do not fit its drawing within their sigma.\n\n\
          Why it matters: one of the points, their height or their unit is wrong, and the pose with it.\n\n\
          How to fix it: check the points, their order and their height above the plane.",
+    ),
+    (
+        "object-outside-image",
+        "What it means: an object is said to be seen at a pixel that the image does not have.\n\n\
+         Why it matters: the columns are exchanged, or the image had another size than the one that was calibrated.\n\n\
+         How to fix it: check u_px and v_px, and use images of the calibrated size.",
     ),
     (
         "outlying-point",
@@ -96,26 +116,6 @@ pub(crate) const TEXTS: &[(&str, &str)] = &[
          Why it matters: one bad touch moves the plane; the usual cause is a point paired with the wrong pixel, or a tip that\n\
          slipped.\n\n\
          How to fix it: touch the point again.",
-    ),
-    (
-        "thin-triangle",
-        "What it means: the three points are nearly on a line.\n\n\
-         Why it matters: the turn about that line is then hardly known.\n\n\
-         How to fix it: choose points that span a wider triangle.",
-    ),
-    (
-        "tip-partly-open",
-        "What it means: the flange turned about one axis only while the touches were taken.\n\n\
-         Why it matters: the length of the tip along that axis is not known, and with it the height of the plane; positions in\n\
-         the plane are not affected.\n\n\
-         How to fix it: tilt the flange by 30 degrees or more in some touches.",
-    ),
-    (
-        "touches-worse-than-stated",
-        "What it means: touches and pixels miss the plane by more than their stated sigmas explain.\n\n\
-         Why it matters: the stated sigmas are those of repeating a touch, not of the robot's accuracy, or the lens distorts and\n\
-         no calibration of it was given. The covariance that was written is widened accordingly.\n\n\
-         How to fix it: state the robot's absolute accuracy, usually 0.3 to 1 mm, mend outlying touches, or give a calibrated lens.",
     ),
     (
         "planar-many-left-out",
@@ -136,5 +136,52 @@ pub(crate) const TEXTS: &[(&str, &str)] = &[
          Why it matters: a unit or a sign of the motions is wrong, and every number of the result with it.\n\n\
          How to fix it: give durations in seconds, speeds of wheels in radians a second, positive forward, and the sensor's\n\
          motion in metres and radians; check that left and right are not exchanged.",
+    ),
+    (
+        "thin-triangle",
+        "What it means: the three points are nearly on a line.\n\n\
+         Why it matters: the turn about that line is then hardly known.\n\n\
+         How to fix it: choose points that span a wider triangle.",
+    ),
+    (
+        "tip-partly-open",
+        "What it means: the flange turned about one axis only while the touches were taken.\n\n\
+         Why it matters: the length of the tip along that axis is not known, and with it the height of the plane; positions in\n\
+         the plane are not affected.\n\n\
+         How to fix it: tilt the flange by 30 degrees or more in some touches.",
+    ),
+    (
+        "touch-outside-image",
+        "What it means: touches are said to be seen at pixels that the image does not have.\n\n\
+         Why it matters: pixels and positions are exchanged, or the calibration is of another camera or resolution; the plane\n\
+         is then one of nothing.\n\n\
+         How to fix it: check the columns u_px, v_px, x_mm, y_mm, and which calibration was given.",
+    ),
+    (
+        "touch-unit",
+        "What it means: the touches span less than 5 mm or more than 20 m.\n\n\
+         Why it matters: no robot's table is so small or so large; the numbers are in another unit than their columns say, and\n\
+         every position that comes of them is wrong by a factor of a thousand.\n\n\
+         How to fix it: name the columns by the unit of their numbers: x_mm,y_mm,z_mm or x_m,y_m,z_m.",
+    ),
+    (
+        "touches-better-than-stated",
+        "What it means: touches and pixels meet the plane ten times better than their stated sigmas say, or more.\n\n\
+         Why it matters: noise does not do that. Touches in metres under a name for millimetres do, and computed ones.\n\n\
+         How to fix it: check the units of touches and of the sigmas.",
+    ),
+    (
+        "touches-coarse",
+        "What it means: no sigma of a touch was stated, and the residuals say that it is above a millimetre.\n\n\
+         Why it matters: robots touch to some tenths of a millimetre. Exchanged columns, wrong pairs of pixels and positions, or\n\
+         a lens that distorts and is not calibrated look like this. The covariance is as wide as the residuals.\n\n\
+         How to fix it: check the table; give the calibration of the lens.",
+    ),
+    (
+        "touches-worse-than-stated",
+        "What it means: touches and pixels miss the plane by more than their stated sigmas explain.\n\n\
+         Why it matters: the stated sigmas are those of repeating a touch, not of the robot's accuracy, or the lens distorts and\n\
+         no calibration of it was given. The covariance that was written is widened accordingly.\n\n\
+         How to fix it: state the robot's absolute accuracy, usually 0.3 to 1 mm, mend outlying touches, or give a calibrated lens.",
     ),
 ];

@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use boresight::{Finding, ObjectSeen, PlacedObject, RobotTable, place_object, read_plane, read_robot_job};
+use boresight::{
+    Finding, ObjectSeen, PlacedObject, RobotTable, Severity, place_object, read_plane, read_robot_job,
+};
 use clap::Args;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -109,7 +111,8 @@ pub(crate) fn run(arguments: &PoseArguments) -> Result<ExitCode, Failure> {
     } else {
         answer(text(&placed, document.plane.model.name()).as_bytes())?;
     }
-    Ok(ExitCode::SUCCESS)
+    let failed = findings.iter().any(|finding| finding.severity == Severity::Fail);
+    Ok(ExitCode::from(u8::from(failed)))
 }
 
 fn read_objects(path: &Path, sigma_phi: f64, height_m: Option<f64>) -> Result<Vec<Asked>, Failure> {

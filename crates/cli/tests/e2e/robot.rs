@@ -264,3 +264,100 @@ fn stereo_finds_points_with_sigmas() {
     let behind = boresight_with_input(folder.path(), &["stereo", "out"], &swapped);
     assert!(behind.code == Some(4) && behind.stderr.contains("no line has a point"), "{}", behind.stderr);
 }
+
+/// Writes the committed touches with each row changed, fits a plane to them and returns the run.
+fn plane_of_changed(
+    folder: &Path,
+    header: &str,
+    row: impl Fn(&str, [f64; 5]) -> String,
+    more: &[&str],
+) -> crate::Run {
+    let touches = fs::read_to_string(dataset("robot-plane/touches.csv")).unwrap();
+    let mut text = format!("{header}\n");
+    for line in touches.lines().skip(1) {
+        let (name, numbers) = line.split_once(',').unwrap();
+        let numbers: Vec<f64> = numbers.split(',').map(|number| number.parse().unwrap()).collect();
+        text.push_str(&format!("{}\n", row(name, numbers.try_into().unwrap())));
+    }
+    fs::write(folder.join("changed.csv"), text).unwrap();
+    let camera = dataset("robot-plane/camera.yml");
+    let arguments = ["robot", "plane", "changed.csv", "--calibration", &camera];
+    boresight(folder, &[&arguments[..], more].concat())
+}
+
+#[test]
+fn touches_that_no_robot_makes_are_told() {
+    const HEADER: &str = "name,u_px,v_px,x_mm,y_mm,z_mm";
+    let folder = tempfile::tempdir().unwrap();
+    let metres = |name: &str, [u, v, x, y, z]: [f64; 5]| {
+        format!("{name},{u},{v},{},{},{}", 1e-3 * x, 1e-3 * y, 1e-3 * z)
+    };
+    let run = plane_of_changed(folder.path(), HEADER, metres, &[]);
+    assert_eq!(run.code, Some(1), "{}", run.stderr);
+    assert!(run.stderr.contains("fail[touch-unit]") && run.stderr.contains("x_m,y_m,z_m"), "{}", run.stderr);
+    let run = plane_of_changed(folder.path(), HEADER, metres, &["--sigma-touch-mm", "0.1"]);
+    assert!(run.stderr.contains("caution[touches-better-than-stated]"), "{}", run.stderr);
+    let same = |name: &str, [u, v, x, y, z]: [f64; 5]| format!("{name},{u},{v},{x},{y},{z}");
+    let run = plane_of_changed(folder.path(), "name,u_px,v_px,x_m,y_m,z_m", same, &[]);
+    assert_eq!(run.code, Some(1), "{}", run.stderr);
+    assert!(run.stderr.contains("fail[touch-unit]") && run.stderr.contains("x_mm,y_mm"), "{}", run.stderr);
+    // Pixels and positions exchanged, then u and v.
+    let exchanged = |name: &str, [u, v, x, y, z]: [f64; 5]| format!("{name},{x},{y},{u},{v},{z}");
+    let run = plane_of_changed(folder.path(), HEADER, exchanged, &[]);
+    assert_eq!(run.code, Some(1), "{}", run.stderr);
+    assert!(run.stderr.contains("fail[touch-outside-image]"), "{}", run.stderr);
+    assert!(run.stderr.contains("caution[touches-coarse]"), "{}", run.stderr);
+    let mirrored = |name: &str, [u, v, x, y, z]: [f64; 5]| format!("{name},{v},{u},{x},{y},{z}");
+    let run = plane_of_changed(folder.path(), HEADER, mirrored, &[]);
+    assert!(run.stderr.contains("fail[touch-outside-image]"), "{}", run.stderr);
+    assert!(run.stderr.contains("note[camera-below-plane]"), "{}", run.stderr);
+    // As they are, nothing of this is said.
+    let run = plane_of_changed(folder.path(), HEADER, same, &[]);
+    assert!(run.code == Some(0) && !run.stderr.contains("touch-") && !run.stderr.contains("touches-"));
+}
+
+#[test]
+fn parts_that_cannot_be_there_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    boresight(folder.path(), &["robot", "plane", &dataset("robot-plane")]).good();
+    fs::write(folder.path().join("one.csv"), "u_px,v_px,phi_deg\n1100,950,0\n").unwrap();
+    fs::write(folder.path().join("far.csv"), "u_px,v_px,phi_deg\n5000,950,0\n").unwrap();
+    let placed = |table: &str, height: &str| {
+        boresight(folder.path(), &["robot", "pose", table, "--plane", "out", "--height-mm", height])
+    };
+    for (height, part) in [("600", "the camera is "), ("nan", "height_m is NaN")] {
+        let run = placed("one.csv", height);
+        assert_eq!(run.code, Some(2), "{height}: {}", run.stderr);
+        assert!(run.stdout.is_empty() && run.stderr.contains(part), "{height}: {}", run.stderr);
+    }
+    let run = placed("far.csv", "0");
+    assert_eq!(run.code, Some(1), "{}", run.stderr);
+    assert!(run.stderr.contains("fail[object-outside-image]"), "{}", run.stderr);
+    assert!(run.stderr.contains("caution[object-beside-touches]"), "{}", run.stderr);
+    assert_eq!(placed("one.csv", "-3").code, Some(0));
+}
+
+#[test]
+fn a_robot_on_wheels_is_calibrated() {
+    let folder = tempfile::tempdir().unwrap();
+    // Wheels of 20 mm, 90 mm apart, the sensor in the middle.
+    let rows = (0..60).map(|i| {
+        let (left, right) = (f64::from(i).sin(), (1.7 * f64::from(i)).cos());
+        let (turn, way) = (0.02 * (right - left) / 0.09, 0.01 * (left + right));
+        let chord = way * (0.5 * turn).sin() / (0.5 * turn);
+        let (x, y) = (chord * (0.5 * turn).cos(), chord * (0.5 * turn).sin());
+        format!("{{\"T\": 1.0, \"phi_l\": {left}, \"phi_r\": {right}, \"sm\": [{x}, {y}, {turn}]}}")
+    });
+    // Two recordings that were joined share a line.
+    let text = rows.collect::<Vec<String>>().join("\n").replacen("}\n{", "}{", 1);
+    fs::write(folder.path().join("m.tuple"), text).unwrap();
+    let found = json(&boresight(folder.path(), &["robot", "planar", "m.tuple", "--json"]).good());
+    assert_eq!((found["schema"].as_str(), found["used"].as_u64()), (Some("boresight.planar/1"), Some(60)));
+    assert!((found["parameters"][2]["value"].as_f64().unwrap() - 0.09).abs() < 1e-9, "{found}");
+    let text = boresight(folder.path(), &["robot", "planar", "m.tuple"]).good();
+    assert!(text.contains("axle_m"), "{text}");
+    fs::write(folder.path().join("few.tuple"), "{\"T\": 1, \"phi_l\": 1, \"phi_r\": 1, \"sm\": [0,0,0]}")
+        .unwrap();
+    let run = boresight(folder.path(), &["robot", "planar", "few.tuple"]);
+    assert!(run.code == Some(4) && run.stderr.contains("10 are needed"), "{}", run.stderr);
+}
