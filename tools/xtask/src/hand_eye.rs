@@ -55,32 +55,30 @@ struct Finding {
     code: String,
 }
 
-/// Calibrates all recorded robots. `BORESIGHT_OPENCV4_PYTHON` is a Python whose OpenCV has calibrateHandEye.
+/// OpenCV's figures: of each recording those of each method, mean, 95 % and largest, in mm.
+type Reference = BTreeMap<String, BTreeMap<String, [f64; 3]>>;
+
+/// Calibrates all recorded robots. `BORESIGHT_OPENCV4_PYTHON` is a Python whose OpenCV has calibrateHandEye; with
+/// `--keep-reference` OpenCV's figures stay as they are in the documentation.
 pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
     let keep_docs = arguments.flag("--keep-docs");
+    let keep_reference = arguments.flag("--keep-reference");
     if !arguments.rest()?.is_empty() {
         bail!("there is nothing to name: all recorded robots are calibrated");
     }
-    let python = std::env::var("BORESIGHT_OPENCV4_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     if !root().join(TAG_CORNERS).is_file() {
         let images = Path::new(SHARED).join("handeye-franka-visp/raw/eye-to-hand");
         let tags = crate::process::reference_environment().join("bin/python");
         let mut detect = command(tags);
         run_process(detect.arg("tools/reference/tag_corners.py").arg(images).args(["36h11", TAG_CORNERS]))?;
     }
-    let mut reference = command(&python);
-    reference.args(["tools/reference/hand_eye_reference.py", SHARED, TAG_CORNERS]);
-    let reference: BTreeMap<String, serde_json::Value> =
-        serde_json::from_str(&output(&mut reference)?).with_context(|| shown(&reference))?;
-    run_process(cargo().args(["build", "--package", "boresight-cli"]))?;
+    let reference = if keep_reference { kept_reference()? } else { made_reference()? };
+    // With the features of the whole workspace, so that nothing is built twice.
+    run_process(cargo().args(["build", "--workspace", "--bin", "boresight"]))?;
     let (mut headlines, mut methods) = (Vec::new(), Vec::new());
     for name in jobs()? {
         let found = calibrate(&name)?;
-        let of_opencv: BTreeMap<String, [f64; 3]> = reference
-            .get(&name)
-            .map(|rows| serde_json::from_value(rows.clone()))
-            .transpose()?
-            .unwrap_or_default();
+        let of_opencv = reference.get(&name).cloned().unwrap_or_default();
         let best = of_opencv.iter().min_by(|one, other| one.1[0].total_cmp(&other.1[0]));
         let own = found.leave_one_out.figures.as_ref().map_or(f64::NAN, |figures| 1e3 * figures.mean_m);
         let codes: Vec<&str> = found.findings.iter().map(|finding| finding.code.as_str()).collect();
@@ -119,9 +117,9 @@ pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
     ];
     let text = [
         markdown(&head, &headlines),
-        planar::table()?,
         markdown(&["recording, method", "mean mm", "95 % mm", "most mm"], &methods),
         poses::tables()?,
+        planar::table()?,
     ]
     .join("\n");
     println!("{text}");
@@ -129,6 +127,36 @@ pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
         table::rewrite(DOCS, COMMAND, &text)?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Runs OpenCV's closed forms.
+fn made_reference() -> anyhow::Result<Reference> {
+    let python = std::env::var("BORESIGHT_OPENCV4_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let mut reference = command(&python);
+    reference.args(["tools/reference/hand_eye_reference.py", SHARED, TAG_CORNERS]);
+    let known: BTreeMap<String, serde_json::Value> =
+        serde_json::from_str(&output(&mut reference)?).with_context(|| shown(&reference))?;
+    let methods = |(name, rows): (String, serde_json::Value)| Ok((name, serde_json::from_value(rows)?));
+    known.into_iter().map(methods).collect()
+}
+
+/// Reads OpenCV's figures from the table that a former run made.
+fn kept_reference() -> anyhow::Result<Reference> {
+    let text = std::fs::read_to_string(root().join(DOCS)).context(DOCS)?;
+    let mut reference = Reference::new();
+    for line in text.lines() {
+        let cells: Vec<&str> = line.split('|').map(str::trim).filter(|cell| !cell.is_empty()).collect();
+        let [first, figures @ ..] = &cells[..] else { continue };
+        let Some((recording, method)) = first.split_once(", OpenCV ") else { continue };
+        let numbers: Vec<f64> = figures.iter().filter_map(|cell| cell.parse().ok()).collect();
+        if let Ok(figures) = <[f64; 3]>::try_from(numbers) {
+            reference.entry(recording.to_owned()).or_default().insert(method.to_owned(), figures);
+        }
+    }
+    if reference.is_empty() {
+        bail!("{DOCS} has no figures of OpenCV to keep");
+    }
+    Ok(reference)
 }
 
 /// Returns the names of the jobs.
