@@ -12,6 +12,7 @@ mod golden {
     mod opencv_corners;
     mod outliers;
     mod poses;
+    mod robot_noise_bound;
     mod several_boards;
     mod sigma_reference;
     mod synthetic_rigs;

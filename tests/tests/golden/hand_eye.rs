@@ -13,10 +13,10 @@ use rand_chacha::rand_core::SeedableRng as _;
 use rand_distr::{Distribution, StandardNormal};
 use rustix::time::{ClockId, clock_gettime};
 
-const NOISE: RobotNoise = RobotNoise { rotation_rad: 6e-4, translation_m: 4e-4, stretch: None };
+pub(super) const NOISE: RobotNoise = RobotNoise { rotation_rad: 6e-4, translation_m: 4e-4, stretch: None };
 
 /// Returns a recording with this many frames and robot noise, whose pixels are noisy by 0.2 px, as stated.
-fn recording(recipe: Recipe, robot: RobotRecipe, seed: u64) -> Synthetic {
+pub(super) fn recording(recipe: Recipe, robot: RobotRecipe, seed: u64) -> Synthetic {
     let mut made = simulate(&recipe, 5);
     // The scene stays; pixels and robot are drawn anew.
     let again = simulate(&recipe, 5);
@@ -45,7 +45,7 @@ fn recording(recipe: Recipe, robot: RobotRecipe, seed: u64) -> Synthetic {
     made
 }
 
-fn options(noise: Option<RobotNoise>) -> AdjustOptions {
+pub(super) fn options(noise: Option<RobotNoise>) -> AdjustOptions {
     AdjustOptions { rejection: Rejection::None, robot_noise: noise, ..AdjustOptions::default() }
 }
 
