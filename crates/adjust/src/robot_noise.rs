@@ -25,6 +25,9 @@ const LEAST: RobotNoise = RobotNoise { rotation_rad: 1e-8, translation_m: 1e-8, 
 /// The change of a variance's logarithm over which redundancies are differentiated.
 const STEP: f64 = 0.02;
 
+/// A group with less redundancy than this says nothing of its variance, which has run to its least.
+const NO_REDUNDANCY: f64 = 1e-3;
+
 /// A robot's noise as the data tell it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EstimatedNoise {
@@ -120,8 +123,8 @@ fn relative_sigmas(
     groups_at: impl Fn(RobotNoise) -> Result<Groups, Error>,
 ) -> Result<[f64; 2], Error> {
     let redundancies = groups.redundancies();
-    // Where no stretch is estimated, its group is empty.
-    let n = if noise.stretch.is_some() { 3 } else { 2 };
+    // Where no stretch is estimated, or the data tell of none, its group is empty.
+    let n = if redundancies[2] > NO_REDUNDANCY { 3 } else { 2 };
     let mut sums = DMatrix::zeros(n + 1, n + 1);
     for j in 0..n {
         let at = |sense: f64| {

@@ -15,6 +15,8 @@ mod poses_document;
 #[cfg(test)]
 mod poses_tests;
 mod sighted_poses;
+mod stretch;
+mod touched;
 mod while_moving;
 mod working_points;
 
@@ -41,7 +43,12 @@ pub use joint_chain::{Joint, JointChain, JointLink, joint_chain};
 pub use pose_doctor::{PoseReadings, describe as describe_reading, read_poses};
 pub use poses_document::{HAND_EYE_POSES_SCHEMA, JOINTS_SCHEMA, joints_to_json, pose_hand_eye_to_json};
 pub use sighted_poses::{ClockPair, PoseFigures, PoseHandEye, hand_eye_of_poses};
+pub use stretch::PlainAnswer;
+pub use touched::TouchedPoints;
 pub use working_points::{SigmaSource, WorkingPoint};
+
+/// The name of the adjustment with the robot's noise as the data tell it.
+const NOISE_ESTIMATED: &str = "adjusted, robot noise estimated";
 
 /// Frames below which a map of the robot's errors of position is not estimated.
 const LEAST_FRAMES_FOR_STRETCH: usize = 8;
@@ -78,10 +85,14 @@ pub struct HandEyeOutcome {
     pub methods: Vec<MethodFigures>,
     /// Which of them is the answer.
     pub chosen: usize,
+    /// The answer without the robot's `stretch`, where the scene has one.
+    pub without_stretch: Option<PlainAnswer>,
     /// How each frame is foretold by all others: its name, and the mean distance of its points in metres.
     pub frames: Vec<(String, f64)>,
     /// The robot's noise as the data tell it, where it was estimated.
     pub noise: Option<EstimatedNoise>,
+    /// What touched points say of the result, where there are any.
+    pub touched: Option<TouchedPoints>,
     /// How well points are known in the robot's base, one a frame.
     pub working_points: Vec<WorkingPoint>,
     /// How far the clocks of robot and camera are apart, where the robot moved.
@@ -118,6 +129,7 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     }
     let mut findings = check_motions(&poses, robot.axes)?;
     findings.extend(readings.finding.filter(|_| robot.axes == RobotAxes::Six));
+    findings.extend(doubts::of_pairs(robot, &dataset));
     findings.extend(moving.iter().flat_map(|moving| moving.findings.clone()));
     let pairs = |mounting| -> Vec<PosePair> {
         frames.iter().map(|told| pose_pair(mounting, &told.base_from_flange, &told.rig_from_target)).collect()
@@ -183,13 +195,14 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
             let noise = estimate_robot_noise(&dataset, &with_first_lenses, start, &exact)?;
             if let Some(plain) = &noise {
                 let with = AdjustOptions { robot_noise: Some(plain.relative), ..exact.clone() };
-                offer("adjusted, robot noise estimated", with, &plain.scene)?;
+                offer(NOISE_ESTIMATED, with, &plain.scene)?;
             }
             let stretched = match &noise {
                 // The map's nine numbers take more than they give from few frames, and need all axes to move.
                 Some(plain) if frames.len() >= LEAST_FRAMES_FOR_STRETCH && robot.axes == RobotAxes::Six => {
                     let start = RobotNoise { stretch: Some(1e-2 / factor), ..plain.relative };
-                    estimate_robot_noise(&dataset, &plain.scene, start, &exact)?
+                    let is_there = |noise: &EstimatedNoise| noise.noise.stretch > Some(stretch::NEGLIGIBLE);
+                    estimate_robot_noise(&dataset, &plain.scene, start, &exact)?.filter(is_there)
                 }
                 _ => None,
             };
@@ -201,17 +214,36 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
         }
     }
     let n_closed = methods.len() - candidates.len();
-    let chosen = best_of(&methods[n_closed..]);
+    let is_stretched = |(options, _): &(AdjustOptions, Vec<HeldOut>)| {
+        options.robot_noise.is_some_and(|noise| noise.stretch.is_some())
+    };
+    // What foretells best with positions as the robot says them, and what needs them corrected.
+    let stretched = candidates.iter().position(is_stretched);
+    let plain = best_of(&methods[n_closed..n_closed + stretched.unwrap_or(candidates.len())]);
+    let needed =
+        stretched.filter(|&stretched| stretch::is_needed(&candidates[stretched].1, &candidates[plain].1));
+    let chosen = needed.unwrap_or(plain);
     let (chosen_options, held_out) = &candidates[chosen];
-    let is_stretched = chosen_options.robot_noise.is_some_and(|noise| noise.stretch.is_some());
-    let [plain, stretched] = noises;
-    let noise = if is_stretched { stretched } else { plain };
-    let start = match (&noise, chosen_options.robot_noise) {
-        (Some(noise), Some(_)) => &noise.scene,
-        _ if chosen == 1 => &with_first_lenses,
+    let start = |which: usize| match (&noises, candidates[which].0.robot_noise) {
+        ([_, Some(noise)], Some(_)) if Some(which) == stretched => &noise.scene,
+        ([Some(noise), _], Some(_)) => &noise.scene,
+        _ if which == 1 => &with_first_lenses,
         _ => &seed,
     };
-    let mut calibration = adjust(&dataset, start, chosen_options, watch.observer.clone())?;
+    let mut calibration = adjust(&dataset, start(chosen), chosen_options, watch.observer.clone())?;
+    let without_stretch = match needed {
+        None => None,
+        Some(_) => {
+            let scene = optimize(&dataset, start(plain), &candidates[plain].0)?.scene;
+            scene.robot.map(|robot| PlainAnswer {
+                method: methods[n_closed + plain].clone(),
+                carrier_from_rig: robot.carrier_from_rig(),
+                other_from_target: robot.other_from_target(),
+            })
+        }
+    };
+    let [plain_noise, stretched_noise] = noises;
+    let noise = if needed.is_some() { stretched_noise } else { plain_noise };
     calibration.provenance = first.calibration.provenance.clone();
     calibration.provenance.options.insert("robot-poses-as".to_owned(), robot.convention.to_string());
     restore_rejected(&mut calibration, &first, &dataset);
@@ -219,10 +251,15 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     let is_noise_used = chosen_options.robot_noise.is_some();
     let working_points =
         working_points::working_points(&dataset, &calibration, mounting, &jackknife, is_noise_used);
+    let touched = robot.touches.as_ref().and_then(|touches| {
+        let noise = noise.as_ref().filter(|_| is_noise_used);
+        touched::touched_points(touches, &dataset, &calibration, noise)
+    });
+    findings.extend(touched.as_ref().and_then(touched::doubt));
     findings.extend(doubts::of_noise(&methods, noise.as_ref(), is_noise_used));
     findings.extend(doubts::of_frames(&dataset, held_out));
     findings.extend(doubts::of_height(robot.axes, robot.height_m));
-    findings.extend(doubts::of_stretch(&calibration));
+    findings.extend(doubts::of_stretch(&calibration, without_stretch.as_ref()));
     // Of the cameras it is their own calibration that tells; here residuals have the robot's errors in them.
     findings.extend(first.findings.iter().cloned());
     findings.sort_by_key(|finding: &Finding| std::cmp::Reverse(finding.severity));
@@ -237,7 +274,19 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     let jackknife = jackknife.map(|(sigmas, _)| sigmas).unwrap_or([f64::NAN; 6]);
     let chosen = n_closed + chosen;
     let clock = moving.as_ref().map(|moving| moving.clock);
-    Ok(HandEyeOutcome { outcome, mounting, methods, chosen, frames, noise, working_points, clock, jackknife })
+    Ok(HandEyeOutcome {
+        outcome,
+        mounting,
+        methods,
+        chosen,
+        without_stretch,
+        frames,
+        noise,
+        touched,
+        working_points,
+        clock,
+        jackknife,
+    })
 }
 
 /// Returns why no adjustment begins from the robot's poses: the poses, where they put points out of view, or anything else.

@@ -96,9 +96,10 @@ pub use error::{Error, ErrorKind};
 pub use explain::{codes, explain};
 pub use hand_eye::{
     ClockPair, Figures, HAND_EYE_POSES_SCHEMA, HAND_EYE_SCHEMA, HandEyeDocument, HandEyeOptions,
-    HandEyeOutcome, JOINTS_SCHEMA, Joint, JointChain, JointLink, MethodFigures, NoiseChoice, PoseFigures,
-    PoseHandEye, PoseReadings, SigmaSource, WorkingPoint, check_motions, describe_reading, hand_eye,
-    hand_eye_of_poses, joint_chain, joints_to_json, pose_hand_eye_to_json, read_poses,
+    HandEyeOutcome, JOINTS_SCHEMA, Joint, JointChain, JointLink, MethodFigures, NoiseChoice, PlainAnswer,
+    PoseFigures, PoseHandEye, PoseReadings, SigmaSource, TouchedPoints, WorkingPoint, check_motions,
+    describe_reading, hand_eye, hand_eye_of_poses, joint_chain, joints_to_json, pose_hand_eye_to_json,
+    read_poses,
 };
 pub use held_out::held_out;
 pub use images::{DetectWatch, ImageProgress, Stages, detect_images, detection_cache, load};
@@ -107,8 +108,8 @@ pub use lens_choice::{LensSelection, ModelTrial, NoLens};
 pub use line_delay::{LineDelayChoice, LineDelayUse};
 pub use locate::{Candidate, LocatePoint, Located, locate};
 pub use options::CalibrateOptions;
-pub use recordings::detect_recordings;
 pub use planar::{PLANAR_SCHEMA, PlanarOutcome, planar, planar_to_json};
+pub use recordings::detect_recordings;
 pub use results::{RESULT_FILES, result_files, sigma_of, write_results};
 pub use shape_choice::ShapeSelection;
 pub use time_offset::TimeOffsetChoice;

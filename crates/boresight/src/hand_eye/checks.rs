@@ -230,7 +230,17 @@ pub const ROBOT_CODES: &[(&str, &str)] = &[
          Why it matters: without the correction every position is off by that much for each metre of travel. With it,\n\
          the calibration holds for corrected positions only.\n\n\
          How to fix it: measure the target's spacing over its whole length. Have the robot calibrated, or correct the\n\
-         positions it says by `stretch` before the result is used with them.",
+         positions it says by `stretch` of hand-eye.json before the result is used with them:\n\
+         corrected = position + matrix * (position - centre), rotations as they are. Who cannot correct positions uses the\n\
+         poses under `without_stretch`, which foretell worse by what the finding says.",
+    ),
+    (
+        "robot-unpaired",
+        "What it means: some frames in which corners were seen have no row in the table of the robot's poses, or some rows\n\
+         name frames in which nothing was seen.\n\n\
+         Why it matters: such frames tell of the lenses and not of where cameras sit; such poses tell nothing. Where names are\n\
+         misspelt, poses are lost.\n\n\
+         How to fix it: compare the column `frame` with the names that `boresight info` lists.",
     ),
     (
         "sights-far-off",
@@ -238,6 +248,14 @@ pub const ROBOT_CODES: &[(&str, &str)] = &[
          another target, a mirrored pose, a moment at which the tracker was lost.\n\n\
          Why it matters: they count for little, but cannot be told from sights that are merely bad.\n\n\
          How to fix it: look at these frames, use larger targets or ones seen more aslant, and leave out what is wrong.",
+    ),
+    (
+        "touches-off",
+        "What it means: the tip, where the robot says it was, is far from the points of the target that it touched.\n\n\
+         Why it matters: touches join the adjustment with the weight of their stated sigma; a wrong tip, or touches of other\n\
+         points, pull cameras and target away from where they are.\n\n\
+         How to fix it: check tip_mm, or leave it out to have it estimated; check which points were touched, counted from 0\n\
+         row by row, and the convention of the touches' poses.",
     ),
 ];
 

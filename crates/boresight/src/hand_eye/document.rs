@@ -5,7 +5,8 @@ use boresight_geometry::Pose;
 use serde::Serialize;
 
 use super::compare::{length, median};
-use super::{HandEyeOutcome, MethodFigures, WorkingPoint};
+use super::stretch::StretchDocument;
+use super::{HandEyeOutcome, MethodFigures, TouchedPoints, WorkingPoint};
 
 /// The name and version of the document's layout.
 pub const HAND_EYE_SCHEMA: &str = "boresight.hand-eye/1";
@@ -16,6 +17,10 @@ pub struct HandEyeDocument {
     schema: &'static str,
     mount: &'static str,
     poses: Vec<PoseDocument>,
+    /// How positions of the robot are to be corrected before `poses` are used with them; `None`: not at all.
+    stretch: Option<StretchDocument>,
+    /// The poses for positions as the robot says them, where there is a stretch.
+    without_stretch: Option<PlainDocument>,
     /// The headline: how frames are foretold that were left out, by the method that was chosen.
     leave_one_out: MethodFigures,
     /// Each frame's mean distance in metres when it is left out.
@@ -24,6 +29,8 @@ pub struct HandEyeDocument {
     robot_noise: Option<NoiseDocument>,
     /// How far the clocks of robot and camera are apart, where the robot moved.
     clock: Option<super::ClockPair>,
+    /// What touched points say of the result, where there are any.
+    touched: Option<TouchedPoints>,
     working_points: Vec<WorkingPoint>,
     median_sigma_m: f64,
     worst_sigma_m: f64,
@@ -38,6 +45,25 @@ struct PoseDocument {
     /// Of a left perturbation, rotation first; only where the robot's noise is part of the adjustment.
     sigma_rad_m: Option<[f64; 6]>,
     jackknife_sigma_rad_m: Option<[f64; 6]>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct PlainDocument {
+    poses: Vec<PoseDocument>,
+    leave_one_out: MethodFigures,
+}
+
+impl PoseDocument {
+    /// Returns a pose of which no sigma is told.
+    fn plain(name: &'static str, pose: Pose) -> Self {
+        Self {
+            name,
+            rotation_xyzw: pose.rotation.coords.into(),
+            translation_m: pose.translation.into(),
+            sigma_rad_m: None,
+            jackknife_sigma_rad_m: None,
+        }
+    }
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -62,9 +88,6 @@ impl HandEyeDocument {
         };
         let poses = calibration.scene.robot.as_ref().map_or(Vec::new(), |robot| {
             let pose = |which: usize, pose: Pose| PoseDocument {
-                name: names[which],
-                rotation_xyzw: pose.rotation.coords.into(),
-                translation_m: pose.translation.into(),
                 sigma_rad_m: is_noise_used
                     .then(|| {
                         let columns = ["rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m"];
@@ -80,6 +103,7 @@ impl HandEyeDocument {
                 jackknife_sigma_rad_m: (which == 0
                     && outcome.jackknife.iter().all(|sigma| sigma.is_finite()))
                 .then_some(outcome.jackknife),
+                ..PoseDocument::plain(names[which], pose)
             };
             vec![pose(0, robot.carrier_from_rig()), pose(1, robot.other_from_target())]
         });
@@ -91,6 +115,19 @@ impl HandEyeDocument {
                 Mounting::RigInBase => "fixed",
             },
             poses,
+            stretch: calibration
+                .scene
+                .robot
+                .as_ref()
+                .and_then(|robot| robot.stretch.as_ref())
+                .map(StretchDocument::new),
+            without_stretch: outcome.without_stretch.as_ref().map(|plain| PlainDocument {
+                poses: vec![
+                    PoseDocument::plain(names[0], plain.carrier_from_rig),
+                    PoseDocument::plain(names[1], plain.other_from_target),
+                ],
+                leave_one_out: plain.method.clone(),
+            }),
             leave_one_out: outcome.methods[outcome.chosen].clone(),
             frames: outcome.frames.clone(),
             methods: outcome.methods.clone(),
@@ -104,6 +141,7 @@ impl HandEyeDocument {
                 settled: noise.rounds.1,
             }),
             clock: outcome.clock,
+            touched: outcome.touched.clone(),
             working_points: outcome.working_points.clone(),
             median_sigma_m: median(&sigmas),
             worst_sigma_m: sigmas.iter().copied().fold(f64::NAN, f64::max),

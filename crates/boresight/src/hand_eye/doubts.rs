@@ -1,11 +1,13 @@
 //! What is doubtful about a robot's calibration once it is made.
 
-use boresight_adjust::{EstimatedNoise, HeldOut};
-use boresight_data::{Calibration, Dataset, Finding, Mounting, Severity};
-use boresight_io::RobotAxes;
+use std::collections::BTreeSet;
 
-use super::MethodFigures;
+use boresight_adjust::{EstimatedNoise, HeldOut};
+use boresight_data::{Calibration, Dataset, Finding, FrameId, Id as _, Mounting, Severity};
+use boresight_io::{RobotAxes, RobotInput};
+
 use super::compare::{mean, median};
+use super::{MethodFigures, NOISE_ESTIMATED, PlainAnswer};
 
 /// How many times better the other mounting must fit to be told.
 const BETTER_MOUNTING: f64 = 3.0;
@@ -42,8 +44,10 @@ pub(super) fn of_noise(
     if noise.is_none() || is_used {
         return None;
     }
-    let with = methods.last()?.figures?.mean_m;
-    let means = methods.iter().filter(|method| method.name.starts_with("adjusted"));
+    let with = methods.iter().find(|method| method.name == NOISE_ESTIMATED)?.figures?.mean_m;
+    let without =
+        |method: &&MethodFigures| method.name.starts_with("adjusted") && !method.name.contains("noise");
+    let means = methods.iter().filter(without);
     let least = means.filter_map(|method| method.figures).map(|f| f.mean_m).fold(f64::INFINITY, f64::min);
     Some(Finding {
         code: "robot-noise-not-used".to_owned(),
@@ -83,28 +87,67 @@ pub(super) fn of_frames(dataset: &Dataset, held_out: &[HeldOut]) -> Vec<Finding>
     .collect()
 }
 
-/// How much a position may be off for each metre before it is told.
-const STRETCH_TOLD: f64 = 5e-4;
+/// Tells of frames without poses and poses without frames, of a robot whose poses are tied to frames.
+pub(super) fn of_pairs(robot: &RobotInput, dataset: &Dataset) -> Option<Finding> {
+    if !robot.frame_times_s.is_empty() {
+        return None;
+    }
+    let seen = dataset.views.iter().map(|view| view.frame).collect::<BTreeSet<FrameId>>();
+    let row_of = |frame: &FrameId| robot.row_of_frame.get(frame.index()).copied().flatten();
+    let mute: Vec<FrameId> = seen.iter().copied().filter(|frame| row_of(frame).is_none()).collect();
+    let used: BTreeSet<usize> = seen.iter().filter_map(row_of).collect();
+    let idle: Vec<usize> = (0..robot.rows.len()).filter(|row| !used.contains(row)).collect();
+    let first_mute = mute.first().map(|&frame| dataset.frames[frame].name.clone());
+    let first_idle = idle.first().map(|&row| {
+        let name = robot.rows[row].frame.as_deref().filter(|name| !name.is_empty());
+        name.map_or_else(|| format!("row {}", row + 1), str::to_owned)
+    });
+    let such_as = |name: Option<String>| name.map_or_else(String::new, |name| format!(" (such as {name})"));
+    (!mute.is_empty() || !idle.is_empty()).then(|| Finding {
+        code: "robot-unpaired".to_owned(),
+        severity: Severity::Note,
+        place: "robot".to_owned(),
+        message: format!(
+            "{} of {} frames with corners{} have no pose of the robot and tell of lenses only; {} of {} poses{} are of \
+             no frame with corners",
+            mute.len(),
+            seen.len(),
+            such_as(first_mute),
+            idle.len(),
+            robot.rows.len(),
+            such_as(first_idle)
+        ),
+        measured: Some((mute.len() + idle.len()) as f64),
+        limit: Some(0.0),
+        fix: "Check the names in the column `frame` of the poses against those that `boresight info` lists.".to_owned(),
+    })
+}
 
-/// Tells that the robot's positions are off as a whole.
-pub(super) fn of_stretch(calibration: &Calibration) -> Option<Finding> {
+/// How much a position may be off for each metre before it is a reason for caution.
+const STRETCH_CAUTION: f64 = 5e-4;
+
+/// Tells that the robot's positions are off as a whole, and that the answer is for corrected ones.
+pub(super) fn of_stretch(calibration: &Calibration, plain: Option<&PlainAnswer>) -> Option<Finding> {
     let stretch = calibration.scene.robot.as_ref()?.stretch?;
     let largest = stretch.matrix.singular_values().max();
     let scale = stretch.matrix.trace() / 3.0;
-    (largest > STRETCH_TOLD).then(|| Finding {
+    let mean_m = plain.and_then(|plain| plain.method.figures).map_or(f64::NAN, |figures| figures.mean_m);
+    Some(Finding {
         code: "robot-stretched".to_owned(),
-        severity: Severity::Caution,
+        severity: if largest > STRETCH_CAUTION { Severity::Caution } else { Severity::Note },
         place: "robot".to_owned(),
         message: format!(
-            "frames left out are foretold best with positions off by up to {:.2} mm a metre; a common scale of {:.5} \
-             is part of it",
+            "frames left out are foretold best with positions off by up to {:.2} mm a metre, a common scale of {:.5} in \
+             it; the answer is for positions so corrected, and without_stretch of hand-eye.json, which foretells to \
+             {:.3} mm, for positions as they are",
             1e3 * largest,
-            1.0 + scale
+            1.0 + scale,
+            1e3 * mean_m
         ),
         measured: Some(largest),
-        limit: Some(STRETCH_TOLD),
-        fix: "Check the spacing of the target with a ruler and the robot's own calibration; positions are to be \
-              corrected by `stretch` of the result."
+        limit: Some(STRETCH_CAUTION),
+        fix: "Check the spacing of the target with a ruler and the robot's own calibration; correct positions by \
+              `stretch` of hand-eye.json, or use `without_stretch` in place of `poses`."
             .to_owned(),
     })
 }

@@ -1,5 +1,6 @@
 //! The pipeline on synthetic and recorded robots.
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use boresight_data::{
@@ -334,18 +335,19 @@ fn recorded() -> Vec<(&'static str, Job)> {
         let inputs: [PathBuf; 1] = [root.join(name)];
         Some((name, load_job(&inputs, &JobOverrides::default()).ok()?))
     };
-    ["handeye-kuka1", "handeye-franka-in-hand", "handeye-franka-to-hand"]
-        .into_iter()
-        .filter_map(load)
-        .collect()
+    let names = ["handeye-kuka1", "handeye-franka-in-hand", "handeye-franka-to-hand"];
+    let jobs: Vec<_> = names.into_iter().filter_map(load).collect();
+    if jobs.len() < names.len() {
+        // Past the harness, which keeps to itself what passing tests print.
+        let what = "recorded robots are beside the project";
+        let _ = writeln!(std::io::stderr(), "skipped in part: {} of {} {what}", jobs.len(), names.len());
+    }
+    jobs
 }
 
 #[test]
 fn each_corruption_of_recorded_poses_is_named_first() {
     let jobs = recorded();
-    if jobs.len() < 3 {
-        println!("{} of 3 recordings are present", jobs.len());
-    }
     let maker = |name: &str| name.parse::<PoseConvention>().unwrap();
     let (vector, quaternion) = (maker("universal-robots"), maker("ros"));
     // What is stated, and what was written.
@@ -455,4 +457,13 @@ fn touches_of_a_job_tell_the_tip() {
     assert!(error < 1e-3, "{error}");
     let names = &calibration.uncertainty.names;
     assert!(names.iter().any(|name| name == "robot.tip_in_flange.z_m"), "{names:?}");
+    let touched = found.touched.unwrap();
+    let sigma_m = touched.tip_sigma_m.unwrap().iter().copied().fold(0.0, f64::max);
+    assert!(touched.touches == 6 && (1e-6..1e-3).contains(&sigma_m), "{touched:?}");
+    // A tip that is not the one which touched.
+    job.robot.as_mut().unwrap().touches.as_mut().unwrap().tip_m = Some([0.04, -0.01, 0.15]);
+    let found = hand_eye(&job, &options, &Watch::default()).unwrap();
+    let off = found.outcome.findings.iter().find(|finding| finding.code == "touches-off").unwrap();
+    assert_eq!(off.severity, boresight_data::Severity::Fail, "{off:?}");
+    assert_eq!(found.touched.unwrap().tip_sigma_m, None);
 }

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use boresight::{
     CalibrateOptions, HandEyeDocument, HandEyeOptions, HandEyeOutcome, Mounting, NoiseChoice, OutputFile,
-    PoseConvention, RobotNoise, RobotOverrides, RobotRows, SightsJob, SigmaSource, Verdict, Watch,
+    Pose, PoseConvention, RobotNoise, RobotOverrides, RobotRows, SightsJob, SigmaSource, Verdict, Watch,
     read_sights_job, result_files, write_files,
 };
 use clap::{Args, ValueEnum};
@@ -185,6 +185,7 @@ fn summary(result: &HandEyeOutcome) -> String {
     text.push_str(&aligned(&rows));
     text.push('\n');
     text.push_str(&poses(result));
+    text.push_str(&stretch(result));
     if let Some(clock) = &result.clock {
         text.push_str(&format!(
             "clocks: the robot's shows {} ms when the camera's shows zero\n",
@@ -202,6 +203,20 @@ fn summary(result: &HandEyeOutcome) -> String {
             100.0 * noise.relative_sigmas[0],
             significant(1e3 * noise.noise.translation_m),
             100.0 * noise.relative_sigmas[1],
+        ));
+    }
+    if let Some(touched) = &result.touched {
+        let tip = |axis: usize| {
+            with_sigma(1e3 * touched.tip_m[axis], touched.tip_sigma_m.map(|sigma| 1e3 * sigma[axis]))
+        };
+        text.push_str(&format!(
+            "touches: {} points, missed by {} mm along an axis where {} mm are expected; tip at ({}, {}, {}) mm\n",
+            touched.touches,
+            mm(touched.rms_m),
+            mm(touched.expected_m),
+            tip(0),
+            tip(1),
+            tip(2)
         ));
     }
     let lengths = result.working_points.iter().map(|point| {
@@ -225,21 +240,58 @@ fn summary(result: &HandEyeOutcome) -> String {
     text
 }
 
-/// Returns the robot's two poses as a table.
-fn poses(result: &HandEyeOutcome) -> String {
-    let Some(robot) = &result.outcome.calibration.scene.robot else { return String::new() };
-    let names = match result.mounting {
+/// Returns the names of the robot's two poses.
+fn pose_names(result: &HandEyeOutcome) -> [&'static str; 2] {
+    match result.mounting {
         Mounting::RigOnFlange => ["flange_from_rig", "base_from_target"],
         Mounting::RigInBase => ["base_from_rig", "flange_from_target"],
-    };
+    }
+}
+
+fn pose_table(names: [&str; 2], poses: [&Pose; 2]) -> String {
     let mut rows = vec![row(["pose", "x mm", "y mm", "z mm", "rx deg", "ry deg", "rz deg"])];
-    for (name, pose) in names.into_iter().zip([robot.carrier_from_rig(), robot.other_from_target()]) {
+    for (name, pose) in names.into_iter().zip(poses) {
         let mut cells = vec![name.to_owned()];
         cells.extend(pose.translation.iter().map(|metres| mm(*metres)));
         cells.extend(pose.rodrigues().iter().map(|angle| format!("{:.4}", angle.to_degrees())));
         rows.push(cells);
     }
-    let mut text = aligned(&rows);
+    aligned(&rows)
+}
+
+/// Says how positions are to be corrected, and what holds without; nothing where they are not.
+fn stretch(result: &HandEyeOutcome) -> String {
+    let robot = result.outcome.calibration.scene.robot.as_ref();
+    let Some(stretch) = robot.and_then(|robot| robot.stretch) else { return String::new() };
+    let [x, y, z] = stretch.centre_in_base.into();
+    let mut text = format!(
+        "\nstretch: these poses hold for the flange at position + S (position - centre); centre ({}, {}, {}) mm, S in mm/m:\n",
+        mm(x),
+        mm(y),
+        mm(z)
+    );
+    let rows = [0, 1, 2].map(|i| {
+        let numbers = [0, 1, 2].map(|j| format!("{:.4}", 1e3 * stretch.matrix[(i, j)]));
+        [vec![String::new()], numbers.to_vec()].concat()
+    });
+    text.push_str(&aligned(&rows));
+    if let Some(plain) = &result.without_stretch {
+        let mean = plain.method.figures.map_or("-".to_owned(), |figures| mm(figures.mean_m));
+        text.push_str(&format!(
+            "positions as the robot says them (leave one out {mean} mm, {}):\n",
+            plain.method.name
+        ));
+        text.push_str(&pose_table(pose_names(result), [&plain.carrier_from_rig, &plain.other_from_target]));
+        text.push('\n');
+    }
+    text
+}
+
+/// Returns the robot's two poses as a table.
+fn poses(result: &HandEyeOutcome) -> String {
+    let Some(robot) = &result.outcome.calibration.scene.robot else { return String::new() };
+    let names = pose_names(result);
+    let mut text = pose_table(names, [&robot.carrier_from_rig(), &robot.other_from_target()]);
     text.push_str("position and orientation (Rodrigues vector)\n");
     let [_, _, _, x, y, z] = result.jackknife;
     if x.is_finite() {

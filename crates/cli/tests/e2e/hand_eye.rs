@@ -28,6 +28,15 @@ fn the_synthetic_robots_are_calibrated_to_their_truth() {
             let ratio = noise[which].as_f64().unwrap() / sigma;
             assert!((ratio - 1.0).abs() < 0.3, "{name}: {which} {ratio}");
         }
+        // These robots are not stretched: their positions hold as they are said, and the noise has its own sigma.
+        assert!(
+            found["stretch"].is_null() && found["without_stretch"].is_null(),
+            "{name}: {}",
+            found["stretch"]
+        );
+        for which in ["relative_sigma_rotation", "relative_sigma_translation"] {
+            assert!((0.02..0.3).contains(&noise[which].as_f64().unwrap()), "{name}: {noise}");
+        }
         assert!(folder.path().join("out/hand-eye.json").is_file());
         assert!(folder.path().join("out/calibration.json").is_file());
     }
@@ -64,6 +73,55 @@ fn degenerate_motions_are_refused_and_nothing_is_written() {
         assert_eq!(run.code, Some(4), "{name}: {}", run.stderr);
         assert!(run.stderr.contains(code) && run.stderr.contains("hint: Add"), "{name}: {}", run.stderr);
         assert!(run.stdout.is_empty() && !folder.path().join("out").exists(), "{name}");
+    }
+}
+
+#[test]
+fn a_stretched_robot_is_told_with_how_to_correct_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = "robot-hand-eye-on-flange";
+    // The robot says positions that are too short by 2 % along x.
+    let table = std::fs::read_to_string(dataset(&format!("{name}/poses.csv"))).unwrap();
+    let mut lines = table.lines();
+    let header = lines.next().unwrap();
+    let x = header.split(',').position(|column| column == "x_m").unwrap();
+    let shortened = lines.map(|line| {
+        let mut fields: Vec<String> = line.split(',').map(str::to_owned).collect();
+        fields[x] = (0.98 * fields[x].parse::<f64>().unwrap()).to_string();
+        fields.join(",")
+    });
+    let text = [header.to_owned()].into_iter().chain(shortened).collect::<Vec<String>>().join("\n");
+    std::fs::write(folder.path().join("poses.csv"), text + "\n").unwrap();
+    let arguments = ["robot", "hand-eye", &dataset(name), "--poses", "poses.csv"];
+    let run = boresight(folder.path(), &arguments);
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    assert!(
+        run.text().contains("stretch: these poses hold for the flange at position + S"),
+        "{}",
+        run.text()
+    );
+    assert!(run.text().contains("positions as the robot says them"), "{}", run.text());
+    assert!(run.stderr.contains("[robot-stretched]"), "{}", run.stderr);
+    let found = std::fs::read_to_string(folder.path().join("out/hand-eye.json")).unwrap();
+    let found: serde_json::Value = serde_json::from_str(&found).unwrap();
+    let along_x = found["stretch"]["matrix"][0][0].as_f64().unwrap();
+    assert!((along_x - (1.0 / 0.98 - 1.0)).abs() < 4e-3, "{along_x}");
+    let mean_of =
+        |figures: &serde_json::Value| figures["leave_one_out"]["figures"]["mean_m"].as_f64().unwrap();
+    assert!(mean_of(&found) < 0.6 * mean_of(&found["without_stretch"]), "{found}");
+    assert_eq!(found["without_stretch"]["poses"].as_array().unwrap().len(), 2);
+}
+
+#[test]
+fn frames_without_a_pose_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = "robot-hand-eye-fixed";
+    let table = std::fs::read_to_string(dataset(&format!("{name}/poses.csv"))).unwrap();
+    std::fs::write(folder.path().join("poses.csv"), table.replace("frame003", "frame3")).unwrap();
+    let run = boresight(folder.path(), &["robot", "hand-eye", &dataset(name), "--poses", "poses.csv"]);
+    assert_eq!(run.code, Some(0), "{}", run.stderr);
+    for part in ["note[robot-unpaired]", "1 of 24 frames", "such as frame003", "such as frame3)"] {
+        assert!(run.stderr.contains(part), "`{part}` is not in: {}", run.stderr);
     }
 }
 
