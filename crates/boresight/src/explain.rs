@@ -77,12 +77,13 @@ const OF_INPUT: &[(&str, &str)] = &[
     ),
     (
         "other-board-size",
-        "What it means: in several images a whole board is seen, all its rim around it, that has another number of inner\n\
-         corners than was declared.\n\n\
-         Why it matters: where the rim is hidden or unclear, a part of the real board looks like a part of the declared one,\n\
-         and its corners may be labelled by the wrong end. Such views contradict each other by whole squares.\n\n\
-         How to fix it: count the inner corners, where four squares meet, along a row and along a column, and declare those.\n\
-         If another board was in sight, take it away or cover it.",
+        "What it means: in several images a board is seen that has another size than was declared, while at least as many\n\
+         show the declared one. Where fewer do, no label is used and no calibration made: the error says how the board\n\
+         that is seen is declared.\n\n\
+         Why it matters: where its rim is out of the image, a part of another board looks like a part of the declared one,\n\
+         and its corners would be labelled by the wrong end. Such views contradict each other by whole squares.\n\n\
+         How to fix it: take the other board away or cover it. If it is the target, count the inner corners, where four\n\
+         squares meet, along a row and along a column, and declare those.",
     ),
     (
         "pixels-outside-image",

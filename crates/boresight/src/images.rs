@@ -4,11 +4,11 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use boresight_data::{GrayImage, Target};
-use boresight_detect::{DETECTORS_REVISION, Missed, Pattern, detect};
+use boresight_data::{Geometry, GrayImage, Target};
+use boresight_detect::{DETECTORS_REVISION, Detection, Missed, Pattern, detect};
 use boresight_io::{
-    DetectionCache, ImageFile, ImageJob, Job, JobOverrides, SeenImage, image_from_bytes, load_images,
-    load_job, load_recordings,
+    DetectionCache, ImageFile, ImageJob, Job, JobOverrides, SeenImage, SizeSeen, image_from_bytes,
+    load_images, load_job, load_recordings,
 };
 use rayon::prelude::*;
 
@@ -149,17 +149,33 @@ pub(crate) fn look_up_or_detect<E>(
     add(&watch.stages.decode_ns, decoded - begin);
     let detection = detect(&image, target);
     add(&watch.stages.detect_ns, decoded.elapsed());
-    let other_size = match detection.missed {
-        Some(Missed::OtherSize { columns, rows }) => Some([columns, rows]),
-        _ => None,
-    };
+    let size = size_seen(&detection, target);
     Ok(SeenImage {
         hash,
         image_size: image.size(),
         is_turned,
         observations: detection.observations,
         missed: detection.missed.map(|missed| missed.to_string()),
-        other_size,
+        size,
         is_legacy: detection.pattern == Some(Pattern::Legacy),
     })
+}
+
+/// Returns what a detection says of the size of the target.
+fn size_seen(detection: &Detection, target: &Target) -> SizeSeen {
+    match detection.missed {
+        None if detection.is_whole => SizeSeen::AsDeclared,
+        Some(
+            Missed::OtherSize { columns, rows }
+            | Missed::TooLarge { columns, rows }
+            | Missed::OtherSquares { columns, rows }
+            | Missed::OtherTags { columns, rows },
+        ) => SizeSeen::Other([columns, rows]),
+        Some(Missed::OtherDots { columns, rows, layout: seen }) => match target.geometry {
+            Geometry::Circles { layout, .. } if layout == seen => SizeSeen::Other([columns, rows]),
+            _ => SizeSeen::Open,
+        },
+        Some(Missed::Short { columns, rows }) => SizeSeen::Short([columns, rows]),
+        _ => SizeSeen::Open,
+    }
 }

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 use boresight::{
     Job, Observation, OutputFile, RecordingJob, SeenImage, Target, corners_to_csv, load_images,
-    load_recordings, overlay_to_png, read_image, write_files,
+    load_recordings, overlay_to_png, read_image, refuse_other_size, write_files,
 };
 
 use crate::arguments::DetectArguments;
@@ -30,7 +30,8 @@ pub(crate) fn run(arguments: &DetectArguments) -> Result<ExitCode, Failure> {
             .with_hint("name images, folders of images, patterns such as 'left*.jpg', or MCAP recordings"));
     };
     inputs::refuse_idle_flags(&arguments.input, InputKind::Images)?;
-    let seen = inputs::detect_in_images(&images, None)?;
+    let mut seen = inputs::detect_in_images(&images, None)?;
+    refuse_other_size(images.target(), &mut seen.iter_mut().flatten().collect::<Vec<_>>());
 
     let mut rows = vec![row(["image", "size", "points", "sigma px", "why not"])];
     for (image, seen) in images.images.iter().zip(&seen) {
@@ -65,7 +66,9 @@ pub(crate) fn run(arguments: &DetectArguments) -> Result<ExitCode, Failure> {
 
 /// Detects the target in the images of recordings.
 fn in_recordings(arguments: &DetectArguments, recordings: RecordingJob) -> Result<ExitCode, Failure> {
-    let (contents, seen) = inputs::detect_in_recordings(&recordings, None)?;
+    let (contents, mut seen) = inputs::detect_in_recordings(&recordings, None)?;
+    let seen_images = seen.iter_mut().filter_map(|seen| Some(&mut seen.seen.as_mut().ok()?.1));
+    refuse_other_size(recordings.target(), &mut seen_images.collect::<Vec<_>>());
     let mut rows = vec![row(["topic", "images", "with the target", "points", "sigma px", "unreadable"])];
     let mut n_used = 0;
     for (topic_idx, topic) in contents.topics.iter().enumerate().filter(|(_, topic)| topic.is_of_images()) {

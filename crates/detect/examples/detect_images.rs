@@ -31,7 +31,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let corners: Vec<String> = found.observations.iter().map(corner).collect();
         let missed = found.missed.map(|missed| missed.to_string()).unwrap_or_default();
         println!(
-            "{{\"file\":{file:?},\"cpu_s\":{least_s:.6},\"missed\":{missed:?},\"corners\":[{}]}}",
+            "{{\"file\":{file:?},\"cpu_s\":{least_s:.6},\"whole\":{},\"missed\":{missed:?},\"corners\":[{}]}}",
+            found.is_whole,
             corners.join(",")
         );
     }

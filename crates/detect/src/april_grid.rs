@@ -15,7 +15,7 @@ use crate::labelled::{Drawing, complete, is_confirmed};
 use crate::lattice::{Lattice, find_lattices};
 use crate::marker::{MarkerCell, read_marker};
 use crate::saddles::find_saddles;
-use crate::votes::{Reading, Vote, count};
+use crate::votes::{Reading, Vote, count, spans_rows};
 
 /// The fewest corners of a lattice that is looked at: those of a tag.
 const FEWEST: usize = 4;
@@ -132,7 +132,9 @@ fn detect_at(image: &GrayImage, planes: &Planes, level: usize, target: &Target) 
     if !is_confirmed(&drawing, &observations, is_tag, is_right) {
         return Detection::missed(Missed::Contradiction { corners: observations.len() });
     }
-    Detection { observations, missed: None, pattern: None }
+    // Tags of one row alone are numbered alike on grids of any width.
+    let is_whole = spans_rows(votes.iter().flatten());
+    Detection { observations, missed: None, pattern: None, is_whole }
 }
 
 /// Returns column and row of the first corner of a tag.

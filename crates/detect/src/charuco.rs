@@ -15,7 +15,7 @@ use crate::labelled::{Drawing, complete, is_confirmed};
 use crate::lattice::{Lattice, distance, find_lattices};
 use crate::marker::{MarkerCell, read_marker};
 use crate::saddles::find_saddles;
-use crate::votes::{Reading, Vote, count};
+use crate::votes::{Reading, Vote, count, spans_rows};
 
 /// The fewest corners of a lattice that is looked at.
 const FEWEST: usize = 4;
@@ -128,7 +128,9 @@ fn detect_at(image: &GrayImage, planes: &Planes, level: usize, board: &Board) ->
     if !is_confirmed(&drawing, &observations, is_white, is_right) {
         return Detection::missed(Missed::Contradiction { corners: observations.len() });
     }
-    Detection { observations, missed: None, pattern: Some(pattern) }
+    // Markers of one row alone are numbered alike on boards of many widths.
+    let is_whole = spans_rows(votes.iter().flatten());
+    Detection { observations, missed: None, pattern: Some(pattern), is_whole }
 }
 
 /// Returns the labelled corners of lattices; where two claim the same label elsewhere, nobody gets it.

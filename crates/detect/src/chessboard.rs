@@ -11,7 +11,7 @@ use boresight_data::{Geometry, GrayImage, Observation, PointId, Target};
 use crate::detection::{Detection, Missed};
 use crate::grid::Grid;
 use crate::lattice::{ASIDE, Corner, Lattice, find_lattices};
-use crate::placement::{Placement, Unplaced, place};
+use crate::placement::{Placed, Placement, Unplaced, place};
 use crate::plane::Plane;
 use crate::saddles::find_saddles;
 
@@ -107,20 +107,31 @@ fn label(grid: &Grid, smooth: &Plane, scale: f64, board: [i32; 2]) -> Detection 
     }
     let found = grid.corners.len();
     match place(grid, board, smooth, scale) {
-        Ok(placement) => {
-            Detection { observations: observations(grid, placement, board[0]), missed: None, pattern: None }
+        Ok(Placed { placement, is_whole }) => Detection {
+            observations: observations(grid, placement, board[0]),
+            missed: None,
+            pattern: None,
+            is_whole,
+        },
+        Err(Unplaced::OtherSize(extent)) => {
+            let [columns, rows] = longer_first(extent);
+            Detection::missed(Missed::OtherSize { columns, rows })
         }
-        Err(Unplaced::OtherSize([columns, rows])) => {
-            let (columns, rows) = (columns as u32, rows as u32);
-            Detection::missed(Missed::OtherSize { columns: columns.max(rows), rows: columns.min(rows) })
+        Err(Unplaced::TooLarge(extent)) => {
+            let [columns, rows] = longer_first(extent);
+            Detection::missed(Missed::TooLarge { columns, rows })
         }
-        Err(Unplaced::TooLarge([columns, rows])) => {
-            let (columns, rows) = (columns as u32, rows as u32);
-            Detection::missed(Missed::TooLarge { columns: columns.max(rows), rows: columns.min(rows) })
+        Err(Unplaced::Short(extent)) => {
+            let [columns, rows] = longer_first(extent);
+            Detection::missed(Missed::Short { columns, rows })
         }
         Err(Unplaced::Ambiguous) => Detection::missed(Missed::Ambiguous { corners: found }),
         Err(Unplaced::Contradiction) => Detection::missed(Missed::Contradiction { corners: found }),
     }
+}
+
+fn longer_first([a, b]: [i32; 2]) -> [u32; 2] {
+    [a.max(b) as u32, a.min(b) as u32]
 }
 
 fn observations(grid: &Grid, placement: Placement, columns: i32) -> Vec<Observation> {

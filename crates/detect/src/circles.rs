@@ -45,7 +45,7 @@ pub(crate) fn detect(image: &GrayImage, target: &Target) -> Detection {
     let mut best = Detection::missed(Missed::NoBoard);
     for share in WINDOW_SHARES {
         let blobs = find_blobs(image, share);
-        let found = label(&blobs, &places, [columns, rows], layout);
+        let found = label(&blobs, &places, [columns, rows], layout, image.size());
         if found.is_better_than(&best) {
             best = found;
         }
@@ -57,38 +57,19 @@ pub(crate) fn detect(image: &GrayImage, target: &Target) -> Detection {
 }
 
 /// Returns the dots at `places` (in distances between rows) among blobs.
-fn label(blobs: &[Blob], places: &[[i32; 2]], [columns, rows]: [u32; 2], layout: CircleLayout) -> Detection {
+fn label(
+    blobs: &[Blob],
+    places: &[[i32; 2]],
+    [columns, rows]: [u32; 2],
+    layout: CircleLayout,
+    image_size: [u32; 2],
+) -> Detection {
     let largest = lattices(blobs).into_iter().max_by_key(|lattice| lattice.len()).unwrap_or_default();
     if largest.len() < 4 {
         return Detection::missed(Missed::NoBoard);
     }
-    // The steps of an asymmetric grid are its diagonals; either of them may have been the first.
-    let straight = |at: &[i32; 2]| match layout {
-        CircleLayout::Symmetric => *at,
-        CircleLayout::Asymmetric => [at[0] - at[1], at[0] + at[1]],
-    };
     let wanted: BTreeSet<[i32; 2]> = places.iter().copied().collect();
-    let mut possible: Vec<BTreeMap<[i32; 2], usize>> = Vec::new();
-    for (shear, quarters) in SHEARS.iter().flat_map(|shear| (0..4).map(move |quarters| (shear, quarters))) {
-        if quarters == 0 && !possible.is_empty() {
-            break;
-        }
-        let turned: BTreeMap<[i32; 2], usize> = largest
-            .iter()
-            .map(|([a, b], blob)| {
-                let [x, y] = straight(&[a + shear[0] * b, b + shear[1] * a]);
-                let turned = [[x, y], [y, -x], [-x, -y], [-y, x]][quarters];
-                (turned, *blob)
-            })
-            .collect();
-        let low = |axis: usize| turned.keys().map(|at| at[axis]).min().unwrap_or(0);
-        let low = [low(0), low(1)];
-        let moved: BTreeMap<[i32; 2], usize> =
-            turned.iter().map(|(at, blob)| ([at[0] - low[0], at[1] - low[1]], *blob)).collect();
-        if moved.len() == wanted.len() && moved.keys().all(|at| wanted.contains(at)) {
-            possible.push(moved);
-        }
-    }
+    let possible = arrangements(&largest, &wanted, layout);
     // Of turns that the grid does not tell apart, the most upright is taken.
     let upright = |dots: &BTreeMap<[i32; 2], usize>| {
         let first = blobs[dots[&places[0]]].pixel;
@@ -96,7 +77,7 @@ fn label(blobs: &[Blob], places: &[[i32; 2]], [columns, rows]: [u32; 2], layout:
         (along[0] - first[0]) / distance(first, along).max(1e-9)
     };
     let Some(dots) = possible.into_iter().max_by(|a, b| upright(a).total_cmp(&upright(b))) else {
-        return Detection::missed(misfit(&largest, columns as usize * rows as usize, layout));
+        return Detection::missed(misfit(&largest, [columns, rows], layout));
     };
     let pixels: BTreeMap<[i32; 2], [f64; 2]> =
         dots.iter().map(|(at, blob)| (*at, blobs[*blob].pixel)).collect();
@@ -127,23 +108,90 @@ fn label(blobs: &[Blob], places: &[[i32; 2]], [columns, rows]: [u32; 2], layout:
             }
         })
         .collect();
-    Detection { observations, missed: None, pattern: None }
+    let is_whole = ends_inside(&pixels, image_size);
+    Detection { observations, missed: None, pattern: None, is_whole }
+}
+
+/// Returns the ways in which a lattice is the dots at these places, up to turns of the drawing.
+fn arrangements(
+    lattice: &BTreeMap<[i32; 2], usize>,
+    wanted: &BTreeSet<[i32; 2]>,
+    layout: CircleLayout,
+) -> Vec<BTreeMap<[i32; 2], usize>> {
+    // The steps of an asymmetric grid are its diagonals; either of them may have been the first.
+    let straight = |at: &[i32; 2]| match layout {
+        CircleLayout::Symmetric => *at,
+        CircleLayout::Asymmetric => [at[0] - at[1], at[0] + at[1]],
+    };
+    let mut possible: Vec<BTreeMap<[i32; 2], usize>> = Vec::new();
+    for (shear, quarters) in SHEARS.iter().flat_map(|shear| (0..4).map(move |quarters| (shear, quarters))) {
+        if quarters == 0 && !possible.is_empty() {
+            break;
+        }
+        let turned: BTreeMap<[i32; 2], usize> = lattice
+            .iter()
+            .map(|([a, b], blob)| {
+                let [x, y] = straight(&[a + shear[0] * b, b + shear[1] * a]);
+                let turned = [[x, y], [y, -x], [-x, -y], [-y, x]][quarters];
+                (turned, *blob)
+            })
+            .collect();
+        let low = |axis: usize| turned.keys().map(|at| at[axis]).min().unwrap_or(0);
+        let low = [low(0), low(1)];
+        let moved: BTreeMap<[i32; 2], usize> =
+            turned.iter().map(|(at, blob)| ([at[0] - low[0], at[1] - low[1]], *blob)).collect();
+        if moved.len() == wanted.len() && moved.keys().all(|at| wanted.contains(at)) {
+            possible.push(moved);
+        }
+    }
+    possible
+}
+
+/// Tells whether a further row of dots would be in the image on each side, so that the grid is seen to end there.
+fn ends_inside(pixels: &BTreeMap<[i32; 2], [f64; 2]>, image_size: [u32; 2]) -> bool {
+    let is_in = |pixel: [f64; 2]| (0..2).all(|i| (0.0..f64::from(image_size[i])).contains(&pixel[i]));
+    [[1, 0], [0, 1], [-1, 0], [0, -1]].iter().all(|out| {
+        // The outermost dots along this direction, and where the next ones would be. Dots of one line are two apart where
+        // every other row is shifted.
+        let next = pixels.iter().filter_map(|(at, here)| {
+            let inwards = |n: i32| pixels.get(&[at[0] - n * out[0], at[1] - n * out[1]]);
+            let is_last = (1..=2).all(|n| !pixels.contains_key(&[at[0] + n * out[0], at[1] + n * out[1]]));
+            let inner = inwards(1).or(inwards(2)).filter(|_| is_last)?;
+            Some([0, 1].map(|i| 2.0 * here[i] - inner[i]))
+        });
+        let inside: Vec<bool> = next.map(is_in).collect();
+        !inside.is_empty() && 4 * inside.iter().filter(|is_in| **is_in).count() >= 3 * inside.len()
+    })
 }
 
 /// Says why a lattice is not the grid.
-fn misfit(lattice: &BTreeMap<[i32; 2], usize>, need: usize, layout: CircleLayout) -> Missed {
-    let extent = |axis: usize| {
-        let along = || lattice.keys().map(|at| at[axis]);
-        along().max().unwrap_or(0) - along().min().unwrap_or(0) + 1
+fn misfit(lattice: &BTreeMap<[i32; 2], usize>, [columns, rows]: [u32; 2], layout: CircleLayout) -> Missed {
+    let n = lattice.len();
+    // Fewer dots than these would look like a grid by chance.
+    const LEAST: u32 = 9;
+    let count = u32::try_from(n).unwrap_or(u32::MAX);
+    let other = match layout {
+        CircleLayout::Symmetric => CircleLayout::Asymmetric,
+        CircleLayout::Asymmetric => CircleLayout::Symmetric,
     };
-    let [a, b] = [extent(0), extent(1)];
-    let is_whole = layout == CircleLayout::Symmetric && (a * b) as usize == lattice.len();
-    if is_whole && lattice.len() >= 9 && a.min(b) >= 2 {
-        Missed::OtherDots { columns: a.max(b) as u32, rows: a.min(b) as u32 }
-    } else if lattice.len() == need {
-        Missed::Contradiction { corners: lattice.len() }
-    } else {
-        Missed::Ambiguous { corners: lattice.len() }
+    let shapes = [layout, other].into_iter().flat_map(|layout| {
+        // The shorter side of a symmetric grid comes last; the rows of an asymmetric one are told by their shifts.
+        let widths = (2..=count / 2).rev().filter(move |width| count.is_multiple_of(*width));
+        let is_first = move |width: &u32| layout == CircleLayout::Asymmetric || width * width >= count;
+        widths.filter(is_first).map(move |width| (width, count / width, layout))
+    });
+    let is_shape = |(columns, rows, layout): &(u32, u32, CircleLayout)| {
+        let at = |column: u32, row: u32| match layout {
+            CircleLayout::Symmetric => [column as i32, row as i32],
+            CircleLayout::Asymmetric => [(2 * column + row % 2) as i32, row as i32],
+        };
+        let places = (0..*rows).flat_map(|row| (0..*columns).map(move |column| at(column, row)));
+        !arrangements(lattice, &places.collect(), *layout).is_empty()
+    };
+    match shapes.into_iter().filter(|_| count >= LEAST).find(is_shape) {
+        Some((columns, rows, layout)) => Missed::OtherDots { columns, rows, layout },
+        None if n == columns as usize * rows as usize => Missed::Contradiction { corners: n },
+        None => Missed::Ambiguous { corners: n },
     }
 }
 

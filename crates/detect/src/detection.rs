@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use boresight_data::{Dictionary, Observation};
+use boresight_data::{CircleLayout, Dictionary, Observation};
 
 /// The points seen in an image, or why there are none.
 #[derive(Clone, Debug, PartialEq)]
@@ -13,6 +13,9 @@ pub struct Detection {
     pub missed: Option<Missed>,
     /// Which of its two patterns a ChArUco board has; `None` for other targets.
     pub pattern: Option<Pattern>,
+    /// Whether what is seen shows that the target has the size that was declared: it ends on all sides where it should,
+    /// or its markers are numbered so, on more than one row. Without that, labels are right if the size is.
+    pub is_whole: bool,
 }
 
 /// Where the markers of a ChArUco board are.
@@ -50,6 +53,14 @@ pub enum Missed {
         /// The inner corners that are seen along the shorter side.
         rows: u32,
     },
+    /// A part of the target may be seen; but where the rest should be, in the image, there are no corners. It is a smaller
+    /// board, or something covers it.
+    Short {
+        /// The inner corners that are seen along the longer side.
+        columns: u32,
+        /// The inner corners that are seen along the shorter side.
+        rows: u32,
+    },
     /// A part of a board is seen, and not which part.
     Ambiguous {
         /// The corners of the part.
@@ -74,12 +85,14 @@ pub enum Missed {
         /// The rows of tags that are seen; there may be more.
         rows: u32,
     },
-    /// A whole symmetric grid of dots is seen, of another size.
+    /// A whole grid of dots is seen, of another size or layout.
     OtherDots {
-        /// Its dots along the longer side.
+        /// Its dots in a row; along the longer side if it is symmetric.
         columns: u32,
-        /// Its dots along the shorter side.
+        /// Its rows.
         rows: u32,
+        /// Whether every other row is shifted.
+        layout: CircleLayout,
     },
     /// The markers that are seen are those of another dictionary, or of one that is part of it.
     OtherDictionary(Dictionary),
@@ -109,6 +122,12 @@ impl fmt::Display for Missed {
             Missed::TooLarge { columns, rows } => {
                 write!(f, "a board is seen with {columns}x{rows} inner corners or more")
             }
+            Missed::Short { columns, rows } => {
+                write!(
+                    f,
+                    "{columns}x{rows} inner corners are seen, and none where the target should have more"
+                )
+            }
             Missed::Ambiguous { corners } => {
                 write!(f, "{corners} corners of a board are seen, but not enough of its rim to tell which")
             }
@@ -127,7 +146,13 @@ impl fmt::Display for Missed {
                     "the tags are numbered as on a grid {columns} tags wide, of which {rows} rows are seen"
                 )
             }
-            Missed::OtherDots { columns, rows } => write!(f, "the grid has {columns}x{rows} dots"),
+            Missed::OtherDots { columns, rows, layout } => {
+                let kind = match layout {
+                    CircleLayout::Symmetric => "symmetric",
+                    CircleLayout::Asymmetric => "asymmetric",
+                };
+                write!(f, "the grid has {columns}x{rows} dots and is {kind}")
+            }
             Missed::OtherDictionary(dictionary) => {
                 write!(f, "the markers are of the dictionary {} or a larger one", dictionary.name())
             }
@@ -142,16 +167,32 @@ impl fmt::Display for Missed {
 impl Detection {
     /// Returns that nothing was detected.
     pub(crate) fn missed(missed: Missed) -> Self {
-        Self { observations: Vec::new(), missed: Some(missed), pattern: None }
+        Self { observations: Vec::new(), missed: Some(missed), pattern: None, is_whole: false }
     }
 
     /// Tells whether this says more: more points, or without any a better reason.
+    ///
+    /// A whole board of another size is more than a part of the target with fewer points.
     pub(crate) fn is_better_than(&self, other: &Self) -> bool {
+        let is_doubted = |labelled: &Self, doubt: &Self| {
+            let n = labelled.observations.len();
+            let n_other = match doubt.missed {
+                Some(Missed::OtherSize { columns, rows }) => (columns * rows) as usize,
+                _ => 0,
+            };
+            0 < n && n <= n_other && !labelled.is_whole
+        };
+        if is_doubted(self, other) {
+            return false;
+        }
+        if is_doubted(other, self) {
+            return true;
+        }
         let rank = |missed: &Option<Missed>| match missed {
             None => (5, 0),
             Some(Missed::OtherSize { .. } | Missed::OtherSquares { .. } | Missed::OtherTags { .. }) => (4, 0),
             Some(Missed::OtherDictionary(_) | Missed::OtherDots { .. }) => (4, 0),
-            Some(Missed::TooLarge { .. }) => (3, 0),
+            Some(Missed::TooLarge { .. } | Missed::Short { .. }) => (3, 0),
             Some(
                 Missed::Ambiguous { corners }
                 | Missed::Contradiction { corners }

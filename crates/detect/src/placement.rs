@@ -15,8 +15,18 @@ pub(crate) enum Side {
     Ends,
     /// The board goes on.
     GoesOn,
-    /// It cannot be told, as at the border of the image.
-    Unknown,
+    /// The next row would be outside the image.
+    Outside,
+    /// The next row would be in the image, and neither corners nor the end of the board are seen there.
+    Unclear,
+}
+
+/// Where a grid is on the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Placed {
+    pub placement: Placement,
+    /// Whether the board ends on all four sides, where it should.
+    pub is_whole: bool,
 }
 
 /// How grid coordinates become columns and rows.
@@ -43,6 +53,8 @@ pub(crate) enum Unplaced {
     OtherSize([i32; 2]),
     /// It is larger than the board.
     TooLarge([i32; 2]),
+    /// It has this many columns and rows, and where the board should have more, in the image, no corners are.
+    Short([i32; 2]),
     /// Several placements fit what is seen.
     Ambiguous,
     /// No placement fits what is seen.
@@ -51,13 +63,14 @@ pub(crate) enum Unplaced {
 
 /// Returns the placement of a grid on a board of this many columns and rows.
 ///
-/// `smooth` is the image at 1/`scale` of its size.
+/// What the board has more than the grid must be outside the image, or be seen to go on there: a smaller board is not
+/// a part of a larger one. `smooth` is the image at 1/`scale` of its size.
 pub(crate) fn place(
     grid: &Grid,
     [columns, rows]: [i32; 2],
     smooth: &Plane,
     scale: f64,
-) -> Result<Placement, Unplaced> {
+) -> Result<Placed, Unplaced> {
     let [low, high] = grid.bounds();
     let extent = [high[0] - low[0] + 1, high[1] - low[1] + 1];
     let sides = [0, 1, 2, 3].map(|side| beyond(grid, side, smooth, scale));
@@ -74,7 +87,7 @@ pub(crate) fn place(
     let colours_tell = (columns + rows) % 2 != 0 || (columns == rows && columns % 2 == 1);
     let Some(&probe) = grid.corners.keys().next() else { return Err(Unplaced::Contradiction) };
     let mut possible: Vec<Placement> = Vec::new();
-    let mut is_loose = false;
+    let (mut is_loose, mut is_short) = (false, false);
     for turn in 0..4 {
         // Bounds of the grid along the board's axes.
         let ends = [turn, (turn + 1) % 4].map(|side| {
@@ -100,12 +113,15 @@ pub(crate) fn place(
                 let agrees = (0..4).all(|k| match sides[(turn + k) % 4] {
                     Side::Ends => at_rim[k],
                     Side::GoesOn => !at_rim[k],
-                    Side::Unknown => true,
+                    Side::Outside | Side::Unclear => true,
                 });
+                let lacks_corners = (0..4).any(|k| sides[(turn + k) % 4] == Side::Unclear && !at_rim[k]);
                 let [column, row] = placement.label(probe);
                 let is_bright = grid.is_bright_square(probe) != (turn % 2 == 1);
                 let has_colours = !colours_tell || is_bright == ((column + row) % 2 != 0);
-                if agrees && has_colours {
+                if agrees && has_colours && lacks_corners {
+                    is_short = true;
+                } else if agrees && has_colours {
                     is_loose |= !is_held;
                     possible.push(placement);
                 }
@@ -118,11 +134,14 @@ pub(crate) fn place(
         du / du.hypot(dv).max(1e-9)
     };
     let Some(best) = possible.iter().copied().max_by(|a, b| upright(a).total_cmp(&upright(b))) else {
-        return Err(Unplaced::Contradiction);
+        return Err(if is_short { Unplaced::Short(extent) } else { Unplaced::Contradiction });
     };
     let is_same =
         |other: &Placement| (0..4).any(|turns| turned(best, turns, [columns, rows]) == Some(*other));
-    if !is_loose && possible.iter().all(is_same) { Ok(best) } else { Err(Unplaced::Ambiguous) }
+    match !is_loose && possible.iter().all(is_same) {
+        true => Ok(Placed { placement: best, is_whole }),
+        false => Err(Unplaced::Ambiguous),
+    }
 }
 
 /// Returns the placement on the board turned by quarters, or `None` if it does not cover itself then.
@@ -161,6 +180,22 @@ fn beyond(grid: &Grid, side: usize, smooth: &Plane, scale: f64) -> Side {
     let on_line = |k: i32| if out[0] != 0 { [bound[0], k] } else { [k, bound[1]] };
     let range = if out[0] != 0 { [low[1], high[1]] } else { [low[0], high[0]] };
     let mut strips = Vec::new();
+    let (mut n_next, mut n_inside) = (0, 0);
+    for k in range[0]..=range[1] {
+        let at = on_line(k);
+        let (Some(here), Some(inner)) = (grid.pixel(at), grid.pixel([at[0] - out[0], at[1] - out[1]])) else {
+            continue;
+        };
+        // Steps outwards shorten as they did before, by bends of the lens and perspective.
+        let further = grid.pixel([at[0] - 2 * out[0], at[1] - 2 * out[1]]);
+        let step = [0, 1].map(|i| {
+            let step = here[i] - inner[i];
+            further.map_or(step, |further| 2.0 * step - (inner[i] - further[i]))
+        });
+        let room_px = ROOM * step[0].hypot(step[1]);
+        n_next += 1;
+        n_inside += usize::from(smooth.holds([0, 1].map(|i| here[i] + step[i]), scale, room_px));
+    }
     for k in range[0]..range[1] {
         let (a, b) = (on_line(k), on_line(k + 1));
         let inwards = |at: [i32; 2]| grid.pixel([at[0] - out[0], at[1] - out[1]]);
@@ -183,8 +218,14 @@ fn beyond(grid: &Grid, side: usize, smooth: &Plane, scale: f64) -> Side {
             inner: grey(-0.5),
         });
     }
-    judge(&strips)
+    judge(&strips).unwrap_or(match n_inside >= 2 && 4 * n_inside >= n_next {
+        true => Side::Unclear,
+        false => Side::Outside,
+    })
 }
+
+/// A corner is seen if it is at least this share of a step away from the border of the image.
+const ROOM: f64 = 0.4;
 
 /// Where along the way outwards grey values are looked at, in steps of the grid.
 const STEPS: [f64; 30] = {
@@ -209,13 +250,14 @@ struct Strip {
     inner: Option<f32>,
 }
 
-fn judge(strips: &[Strip]) -> Side {
+/// Returns whether the board ends or goes on; `None` if that cannot be told.
+fn judge(strips: &[Strip]) -> Option<Side> {
     let mean = |bright: bool| {
         let values: Vec<f32> =
             strips.iter().filter(|strip| strip.is_bright != bright).filter_map(|strip| strip.inner).collect();
         (!values.is_empty()).then(|| values.iter().sum::<f32>() / values.len() as f32)
     };
-    let (Some(white), Some(black)) = (mean(true), mean(false)) else { return Side::Unknown };
+    let (Some(white), Some(black)) = (mean(true), mean(false)) else { return None };
     let middle = 0.5 * (white + black);
     let is_bright = |grey: &Option<f32>| grey.map(|grey| grey > middle);
     // Where a strip leaves the colour it begins with, in indices of STEPS.
@@ -227,10 +269,10 @@ fn judge(strips: &[Strip]) -> Side {
     let (dark, bright): (Vec<&Strip>, Vec<&Strip>) = strips.iter().partition(|strip| !strip.is_bright);
     let mut ends: Vec<usize> = dark.iter().filter_map(leaves).collect();
     ends.sort_unstable();
-    let Some(&end) = ends.get(ends.len() / 2) else { return Side::Unknown };
+    let &end = ends.get(ends.len() / 2)?;
     let most = |n: usize, of: usize| n > 0 && 10 * n >= 7 * of;
     if bright.is_empty() || !most(ends.len(), dark.len()) {
-        return Side::Unknown;
+        return None;
     }
     let stays = |strip: &&&Strip| {
         let greys = &strip.greys[..(end + MARGIN).min(STEPS.len())];
@@ -244,10 +286,10 @@ fn judge(strips: &[Strip]) -> Side {
         leaves(strip).is_some_and(|own| own.abs_diff(end) <= 1 && own + 6 <= STEPS.len() && keeps(own))
     };
     if most(bright.iter().filter(stays).count(), bright.len()) {
-        Side::Ends
+        Some(Side::Ends)
     } else if (STEPS[end] - 1.0).abs() < 0.2 && most(strips.iter().filter(changes).count(), strips.len()) {
-        Side::GoesOn
+        Some(Side::GoesOn)
     } else {
-        Side::Unknown
+        None
     }
 }

@@ -64,6 +64,12 @@ impl Plane {
         smooth
     }
 
+    /// Tells whether a pixel of the image that this is at 1/`scale` of its size is at least `room_px` from its border.
+    pub fn holds(&self, pixel: [f64; 2], scale: f64, room_px: f64) -> bool {
+        let is_within = |at: f64, side: usize| at >= room_px && at <= scale * side as f64 - 1.0 - room_px;
+        is_within(pixel[0], self.width) && is_within(pixel[1], self.height)
+    }
+
     /// Returns the value at a place between pixels, or `None` within `border` pixels of the border or beyond.
     #[inline]
     pub fn sample(&self, [u, v]: [f64; 2], border: f64) -> Option<f32> {

@@ -24,7 +24,7 @@ pub const DETECTORS: &[Detector] = &[
 ];
 
 /// Counts up whenever a detector sees other points than before in the same image, so that nothing old is remembered.
-pub const DETECTORS_REVISION: u32 = 3;
+pub const DETECTORS_REVISION: u32 = 4;
 
 /// Detects the points of a target in an image: whole or in part, or not at all, with the reason.
 pub fn detect(image: &GrayImage, target: &Target) -> Detection {

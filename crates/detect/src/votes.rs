@@ -87,6 +87,19 @@ pub(crate) fn count(
     Some(Vote { labelling, cells, against, chance })
 }
 
+/// Tells whether the markers that agree are in more than one row of the board, so that they tell its width.
+pub(crate) fn spans_rows<'a>(votes: impl Iterator<Item = &'a Vote>) -> bool {
+    let rows: BTreeSet<i32> = votes
+        .flat_map(|vote| {
+            vote.cells.iter().map(|cell| {
+                let other = [cell[0] + 1, cell[1] + 1];
+                vote.labelling.label(*cell)[1].min(vote.labelling.label(other)[1])
+            })
+        })
+        .collect();
+    rows.len() > 1
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -6,6 +6,8 @@
 mod dots;
 #[path = "rendered/prints.rs"]
 mod prints;
+#[path = "rendered/sizes.rs"]
+mod sizes;
 #[path = "rendered/tags.rs"]
 mod tags;
 

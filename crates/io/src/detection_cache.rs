@@ -9,12 +9,12 @@ use std::path::Path;
 use boresight_data::{Observation, PointId, Target};
 use serde::{Deserialize, Serialize};
 
-use crate::SeenImage;
 use crate::atomic::write_atomically;
 use crate::error::Error;
+use crate::{SeenImage, SizeSeen};
 
 /// The schema of the file.
-const SCHEMA: &str = "boresight.detections/2";
+const SCHEMA: &str = "boresight.detections/3";
 
 /// What was detected before.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -38,7 +38,7 @@ struct Entry {
     /// Point, u, v and sigma of each.
     points: Vec<(u32, f64, f64, f64)>,
     missed: Option<String>,
-    other_size: Option<[u32; 2]>,
+    size: SizeSeen,
     is_legacy: bool,
 }
 
@@ -90,7 +90,7 @@ impl Entry {
             is_turned: seen.is_turned,
             points: seen.observations.iter().map(point).collect(),
             missed: seen.missed.clone(),
-            other_size: seen.other_size,
+            size: seen.size,
             is_legacy: seen.is_legacy,
         }
     }
@@ -104,7 +104,7 @@ impl Entry {
             is_turned: self.is_turned,
             observations: self.points.into_iter().map(observation).collect(),
             missed: self.missed,
-            other_size: self.other_size,
+            size: self.size,
             is_legacy: self.is_legacy,
         }
     }
@@ -123,7 +123,7 @@ mod tests {
             is_turned: n == 0,
             observations: (0..n).map(observation).collect(),
             missed: (n == 0).then(|| "no board is seen".to_owned()),
-            other_size: (n == 0).then_some([7, 5]),
+            size: if n == 0 { SizeSeen::Other([7, 5]) } else { SizeSeen::AsDeclared },
             is_legacy: n > 4,
         }
     }

@@ -72,8 +72,8 @@ pub enum Error {
         images: usize,
         /// What was said of most of them.
         why: String,
-        /// The size of the board that is seen in most of them, in inner corners.
-        seen: Option<[u32; 2]>,
+        /// How a target is declared that has the size which is seen in most of them.
+        seen: Option<String>,
     },
     /// A recording holds no images.
     #[error("{file}: there are no images in it; {}", topics_in_words(topics))]
@@ -448,8 +448,10 @@ impl Error {
             Error::NoImageTopic { .. } => text(
                 "images are read as sensor_msgs Image and CompressedImage, and as foxglove RawImage and CompressedImage",
             ),
-            Error::NothingDetected { seen: Some([columns, rows]), .. } => {
-                Some(format!("count inner corners, not squares: is the target {columns}x{rows}?"))
+            Error::NothingDetected { seen: Some(spec), .. } => {
+                let count =
+                    if spec.starts_with("chessboard") { "; count inner corners, not squares" } else { "" };
+                Some(format!("declare it as `--target {spec}` if that is the board{count}"))
             }
             Error::NothingDetected { .. } => text(
                 "do columns and rows count inner corners, and does the whole board with its white rim show in the images?",

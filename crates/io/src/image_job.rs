@@ -12,6 +12,8 @@ use crate::image_pixels::{ReadImage, image_from_bytes};
 use crate::job::{Head, Job, JobOverrides, hash, head_beside, named_inputs, read, robot_of, set_times};
 use crate::robot_input::RobotOverrides;
 use crate::seen::{SeenFile, SeenView, describe};
+use crate::size_seen::{SizeSeen, Tally, refuse_other_size, resized};
+use crate::target_spec::target_spec;
 use crate::{Error, Place};
 
 /// A job whose target is to be detected in images.
@@ -28,7 +30,7 @@ pub struct ImageJob {
 }
 
 /// What was seen in an image.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SeenImage {
     /// The blake3 hash of the file in hexadecimal.
     pub hash: String,
@@ -40,8 +42,8 @@ pub struct SeenImage {
     pub observations: Vec<Observation>,
     /// Why there are none, in words, where there are none.
     pub missed: Option<String>,
-    /// The size of the board that is seen in place of the target, in inner corners.
-    pub other_size: Option<[u32; 2]>,
+    /// What it says of the target's size.
+    pub size: SizeSeen,
     /// Whether it shows a ChArUco board of the legacy pattern, whose first square is white.
     pub is_legacy: bool,
 }
@@ -141,6 +143,11 @@ pub(crate) fn finish(
     let mut hashes = head.hashes;
     let specs = specs(listed, &views);
     findings.note_sizes(&specs, &mut views);
+    let mut images: Vec<&mut SeenImage> = views.iter_mut().map(|(seen, _)| seen).collect();
+    refuse_other_size(&head.target, &mut images);
+    for (seen, view) in &mut views {
+        view.observations.clone_from(&seen.observations);
+    }
     findings.note_missed(&views);
     findings.note_legacy(&views);
     if views.iter().all(|(_, view)| view.observations.is_empty()) {
@@ -188,25 +195,21 @@ fn specs(listed: &[Listed], views: &[(SeenImage, SeenView)]) -> Vec<CameraSpec> 
 }
 
 fn nothing_detected(target: &Target, images: usize, views: &[(SeenImage, SeenView)]) -> Error {
-    let mut sizes: BTreeMap<[u32; 2], usize> = BTreeMap::new();
     let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
     for (seen, _) in views {
-        if let Some(size) = seen.other_size {
-            *sizes.entry(size).or_default() += 1;
-        }
         if let Some(missed) = &seen.missed {
             *reasons.entry(missed).or_default() += 1;
         }
     }
-    let seen = sizes.iter().max_by_key(|(_, count)| **count).map(|(size, _)| *size);
+    let named = Tally::of(views.iter().map(|(seen, _)| seen.size)).named(target);
+    let seen = named.map(|(size, n)| (resized(target, size), n));
     let most = reasons.iter().max_by_key(|(_, count)| **count);
-    let why = match (seen, most) {
-        (Some([columns, rows]), _) => {
-            format!("in {} of them the board has {columns}x{rows} inner corners", sizes[&[columns, rows]])
-        }
+    let why = match (&seen, most) {
+        (Some((seen, n)), _) => format!("in {n} of them the board has {}", describe(seen)),
         (None, Some((reason, count))) => format!("of {count} it is said that {reason}"),
         (None, None) => "none could be read".to_owned(),
     };
+    let seen = seen.and_then(|(seen, _)| target_spec(&seen));
     Error::NothingDetected { target: describe(target), images, why, seen }
 }
 
@@ -291,11 +294,11 @@ impl Findings<'_> {
             for (reason, images) in reasons {
                 let message = format!("{reason}, in {} of its images: {}", images.len(), some_of(&images));
                 let is_other = |(seen, _): &(SeenImage, SeenView)| {
-                    seen.other_size.is_some() && seen.missed.as_deref() == Some(reason)
+                    matches!(seen.size, SizeSeen::Other(_)) && seen.missed.as_deref() == Some(reason)
                 };
                 if images.len() >= OTHER_SIZE_IMAGES && views.iter().any(is_other) {
-                    let fix = "count the inner corners and declare them; in other images a part may have been taken for \
-                               the declared board, and be labelled wrongly";
+                    let fix =
+                        "take the other board out of sight; more images show the target as it was declared";
                     self.push("other-board-size", Severity::Caution, camera, message, images.len(), fix);
                     continue;
                 }
@@ -372,7 +375,7 @@ mod tests {
             is_turned: false,
             observations,
             missed,
-            other_size: None,
+            size: SizeSeen::Open,
             is_legacy: false,
         })
     }
@@ -447,18 +450,20 @@ mod tests {
 
     #[test]
     fn boards_of_another_size_among_others_are_a_caution() {
-        let missed = |hash: &str, other_size| {
+        let sized = |image: Result<SeenImage, Error>, size| image.map(|seen| SeenImage { size, ..seen });
+        let missed = |hash: &str| {
             let missed = Some("the board has 9x6 inner corners".to_owned());
-            seen(hash, [64, 48], 0).map(|seen| SeenImage { other_size, missed, ..seen })
+            let image = seen(hash, [64, 48], 0).map(|seen| SeenImage { missed, ..seen });
+            sized(image, SizeSeen::Other([9, 6]))
         };
         let told = |second| {
             let (_folder, images) = job(&["1.png", "2.png", "3.png", "4.png"], &[]);
-            let made =
-                vec![missed("a", Some([9, 6])), second, seen("c", [64, 48], 6), seen("d", [64, 48], 6)];
-            let findings = images.with_detections(made).unwrap().findings;
+            let whole = ["c", "d"].map(|hash| sized(seen(hash, [64, 48], 6), SizeSeen::AsDeclared));
+            let [third, fourth] = whole;
+            let findings = images.with_detections(vec![missed("a"), second, third, fourth]).unwrap().findings;
             findings.into_iter().map(|finding| (finding.code, finding.severity)).collect::<Vec<_>>()
         };
-        assert_eq!(told(missed("b", Some([9, 6]))), [("other-board-size".to_owned(), Severity::Caution)]);
+        assert_eq!(told(missed("b")), [("other-board-size".to_owned(), Severity::Caution)]);
         assert_eq!(told(seen("b", [64, 48], 6)), [("target-not-detected".to_owned(), Severity::Note)]);
     }
 
@@ -466,9 +471,11 @@ mod tests {
     fn a_board_of_another_size_is_named() {
         let (_folder, images) = job(&["1.png", "2.png"], &[]);
         let other =
-            |hash: &str| seen(hash, [64, 48], 0).map(|seen| SeenImage { other_size: Some([9, 6]), ..seen });
-        let error = images.with_detections(vec![other("a"), other("b")]).unwrap_err();
-        assert!(error.to_string().contains("in 2 of them the board has 9x6 inner corners"), "{error}");
-        assert!(error.hint().unwrap().contains("9x6"));
+            |n| seen("a", [64, 48], n).map(|seen| SeenImage { size: SizeSeen::Other([9, 6]), ..seen });
+        // What was labelled elsewhere is not believed.
+        let labelled = seen("b", [64, 48], 6);
+        let error = images.with_detections(vec![other(0), labelled]).unwrap_err();
+        assert!(error.to_string().contains("in 1 of them the board has 9x6 inner corners"), "{error}");
+        assert!(error.hint().unwrap().contains("--target chessboard:9x6:10mm"), "{:?}", error.hint());
     }
 }

@@ -50,6 +50,7 @@ mod ros_camera_info;
 mod samples;
 mod seen;
 mod sights_job;
+mod size_seen;
 #[cfg(test)]
 mod speed_tests;
 mod target_spec;
@@ -88,4 +89,5 @@ pub use robot_plane_json::{
 };
 pub use robot_table::RobotTable;
 pub use sights_job::{RobotRows, SightsJob, TimedPose, read_sights_job};
+pub use size_seen::{SizeSeen, refuse_other_size};
 pub use target_spec::{parse_target, target_spec};

@@ -58,7 +58,9 @@ fn what_is_wrong_with_images_is_told_at_once() {
     // A board of another size is told, with the right one.
     let run = boresight(folder.path(), &["doctor", "recording", "--target", "chessboard:8x6:40mm"]);
     let told = format!("{}{}", run.text(), run.stderr);
-    assert!(told.contains("other-board-size") && told.contains("the board has 9x6 inner corners"), "{told}");
+    assert_eq!(run.code, Some(3), "{told}");
+    assert!(told.contains("the board has 9x6 inner corners"), "{told}");
+    assert!(told.contains("--target chessboard:9x6:40mm"), "{told}");
     // Two frames are no calibration.
     for (camera, i) in ["left", "right"].iter().flat_map(|camera| (2..21).map(move |i| (camera, i))) {
         std::fs::remove_file(images.join(format!("{camera}-{i:02}.png"))).unwrap();

@@ -67,6 +67,62 @@ fn rendered() -> tempfile::TempDir {
     folder
 }
 
+/// Writes images of a target into `NAME/`: three that show all of it, and six in which the border cuts it.
+fn write_views(folder: &Path, name: &str, spec: &str) {
+    let target = boresight::parse_target(spec).unwrap();
+    let params = vec![620.0, 620.0, 319.0, 241.0];
+    let camera = Camera { model: Model::Pinhole(Default::default()), params, image_size: [640, 480] };
+    let last = target.drawn_point(boresight_data::PointId(target.point_count() as u32 - 1));
+    // Of a grid of tags, z is towards the camera.
+    let is_turned = matches!(target.geometry, Geometry::AprilGrid { .. });
+    let front = Vector3::new(if is_turned { std::f64::consts::PI } else { 0.0 }, 0.0, 0.0);
+    std::fs::create_dir(folder.join(name)).unwrap();
+    for i in 0..9u32 {
+        let t = f64::from(i);
+        let aside = if i < 3 { 0.01 } else { 0.14 };
+        let middle = Vector3::new(aside * (1.05 * t).cos(), aside * (1.05 * t).sin(), 0.52);
+        let turn = Vector3::new(0.3 * (1.9 * t).cos(), 0.3 * (1.9 * t).sin(), 0.2 * (t - 2.0));
+        let rotation = (Pose::from_rodrigues(turn, Vector3::zeros())
+            * Pose::from_rodrigues(front, Vector3::zeros()))
+        .rotation;
+        let pose = Pose::new(rotation, middle - rotation * (0.5 * last));
+        let image = render(&camera, &pose, &target, &[], &Exposure::default(), u64::from(i)).unwrap();
+        let GrayPixels::Eight(values) = image.pixels() else { panic!("eight bits are the default") };
+        let mut pgm = b"P5\n640 480\n255\n".to_vec();
+        pgm.extend(values);
+        std::fs::write(folder.join(name).join(format!("{i}.pgm")), pgm).unwrap();
+    }
+}
+
+#[test]
+fn targets_of_the_wrong_size_are_refused_with_the_right_one() {
+    let folder = tempfile::tempdir().unwrap();
+    for (i, (right, wrong)) in [
+        ("chessboard:9x6:30mm", &["10x6", "8x6", "9x7", "9x5", "6x10", "11x8"][..]),
+        ("charuco:8x6:30mm:22mm:4x4_50", &["9x6", "7x6", "8x5", "6x8"]),
+        ("aprilgrid:4x3:60mm:0.3:36h11", &["5x3", "3x4", "4x2", "3x3"]),
+        ("circles:7x5:30mm", &["8x5", "6x5", "7x6", "7x4"]),
+        ("acircles:4x9:16mm", &["5x9", "3x9", "4x8", "4x10", "9x4"]),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let name = format!("cam{i}");
+        write_views(folder.path(), &name, right);
+        let run = boresight(folder.path(), &["detect", &name, "--target", right]);
+        assert!(run.stdout.len() > 3000, "{right}: {}", run.stderr);
+        let size = right.split(':').nth(1).unwrap();
+        for other in wrong {
+            let declared = right.replacen(size, other, 1);
+            let run = boresight(folder.path(), &["detect", &name, "--target", &declared]);
+            assert_eq!((run.code, run.stdout.len()), (Some(3), 0), "{declared}: {}", run.stderr);
+            assert!(run.stderr.contains(&format!("--target {right}")), "{declared}: {}", run.stderr);
+            // The table says of each image why it has no labels.
+            assert!(run.stderr.lines().filter(|line| line.contains(".pgm")).count() == 9, "{}", run.stderr);
+        }
+    }
+}
+
 #[test]
 fn spoilt_images_are_told_and_the_others_used() {
     let folder = rendered();
@@ -97,6 +153,7 @@ fn a_board_of_another_size_is_named() {
         let run = boresight(folder.path(), &["calibrate", "cam", "--target", target]);
         assert_eq!(run.code, Some(3), "{}", run.stderr);
         assert!(run.stderr.contains("the board has 7x5 inner corners"), "{}", run.stderr);
+        assert!(run.stderr.contains("--target chessboard:7x5:30mm"), "{}", run.stderr);
     }
     let run = boresight(folder.path(), &["calibrate", "cam"]);
     assert_eq!(run.code, Some(2), "{}", run.stderr);

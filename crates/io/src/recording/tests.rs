@@ -185,7 +185,7 @@ fn loaded(job: RecordingJob) -> Result<crate::Job, Error> {
                     is_turned: false,
                     observations: (0..if size[0] > 8 { 6 } else { 0 }).map(observation).collect(),
                     missed: (size[0] <= 8).then(|| "no board is seen".to_owned()),
-                    other_size: None,
+                    size: crate::SizeSeen::Open,
                     is_legacy: false,
                 },
             ))
