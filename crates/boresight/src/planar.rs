@@ -57,20 +57,13 @@ pub fn planar(motions: &[PlanarMotion]) -> Result<PlanarOutcome, Error> {
             "look for slipping wheels, bad scan matches, and intervals whose times do not belong together";
         add("planar-many-left-out", Severity::Caution, "intervals", message, left_out, LEFT_OUT, fix);
     }
-    for i in 0..3 {
-        let relative = robot.sigmas[i] / robot.values[i].abs();
+    // The two radii and the distance of the wheels; where the sensor is may well be zero.
+    for ((name, value), sigma) in PLANAR_NAMES.iter().zip(robot.values).zip(robot.sigmas).take(3) {
+        let relative = sigma / value.abs();
         if relative > RELATIVE_SIGMA {
             let message = format!("known to {:.1} % only", 100.0 * relative);
             let fix = "record more intervals, with turns on the spot, straight ways and curves to both sides";
-            add(
-                "planar-uncertain",
-                Severity::Caution,
-                PLANAR_NAMES[i],
-                message,
-                relative,
-                RELATIVE_SIGMA,
-                fix,
-            );
+            add("planar-uncertain", Severity::Caution, name, message, relative, RELATIVE_SIGMA, fix);
         }
     }
     findings.sort_by_key(|finding: &Finding| std::cmp::Reverse(finding.severity));
