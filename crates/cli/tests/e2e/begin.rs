@@ -5,20 +5,21 @@ use crate::{boresight, dataset};
 #[test]
 fn a_target_is_made_with_its_part_of_a_job() {
     let folder = tempfile::tempdir().unwrap();
-    for (spec, paper) in [
-        ("chessboard:9x6:25mm", "A4 landscape (297 x 210 mm)"),
-        ("charuco:8x6:30mm:22mm:5x5_1000", "A3 landscape"),
-        ("aprilgrid:4x3:40mm:0.3:36h11", "A4 landscape"),
-        ("acircles:4x11:20mm", "A4 portrait (210 x 297 mm)"),
+    for (name, spec, paper) in [
+        ("chessboard", "chessboard:9x6:25mm", "A4 landscape (297 x 210 mm)"),
+        ("charuco", "charuco:8x6:30mm:22mm:5x5_1000", "A3 landscape"),
+        ("tags", "aprilgrid:4x3:40mm:0.3:36h11", "A4 landscape"),
+        ("dots", "acircles:4x11:20mm", "A4 portrait (210 x 297 mm)"),
     ] {
-        let run = boresight(folder.path(), &["target", "make", spec, "-o", "prints/board.svg"]);
-        let job = std::fs::read_to_string(folder.path().join("prints/board.toml")).unwrap();
+        let [drawing, part_of_job] = ["svg", "toml"].map(|kind| format!("prints/{name}.{kind}"));
+        let run = boresight(folder.path(), &["target", "make", spec, "-o", &drawing]);
+        let job = std::fs::read_to_string(folder.path().join(&part_of_job)).unwrap();
         assert!(job.ends_with(&format!("[target]\nkind = \"{spec}\"\n")), "{job}");
-        for part in ["100 %", paper, "prints/board.toml", "mm from stroke to stroke"] {
+        for part in ["100 %", paper, &part_of_job, "mm from stroke to stroke"] {
             assert!(run.stderr.contains(part), "{part}: {}", run.stderr);
         }
         assert_eq!(run.good(), job);
-        let svg = std::fs::read_to_string(folder.path().join("prints/board.svg")).unwrap();
+        let svg = std::fs::read_to_string(folder.path().join(&drawing)).unwrap();
         assert!(svg.starts_with("<svg ") && svg.contains(spec) && svg.ends_with("</svg>\n"), "{spec}");
     }
     let run = boresight(folder.path(), &["target", "make", "chessboard:9x6:25mm", "--paper", "A3"]);
