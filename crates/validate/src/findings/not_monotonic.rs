@@ -30,9 +30,9 @@ Why it matters: no real lens does that. A polynomial was fitted where there were
 corners and runs away where there were none. Undistorting an image leaves holes
 or folds there, and points outside the field of view are projected into the
 image. The residuals do not show it. For a fisheye that sees beyond 85 degrees
-it is a caution only, as long as the fold is in the corners, or targets were seen
-up to nine tenths of its angle: what is beyond may be black, and then nothing is
-lost.
+it is a caution only, as long as the fold is in the corners, or targets were
+seen up to nine tenths of its angle: what is beyond may be black, and then
+nothing is lost.
 
 How to fix it: take views with the board in the corners of the image, so that
 the data reach as far as the lens. Otherwise take a lens model with fewer
