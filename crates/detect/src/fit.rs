@@ -18,8 +18,15 @@ use self::normal::{Normal, Pixels};
 const N: usize = 10;
 /// The narrowest blur in pixels: a little more than that of the area of a pixel, 1/√12. Narrower edges fall between pixels.
 const LEAST_BLUR_PX: f64 = 0.30;
-/// The most pixels of a window along either axis.
+/// The widest window of a corner that is not blurred, in pixels; blur widens it.
 const MOST_ACROSS: f64 = 29.0;
+/// How many pixels of a window are looked at, at most: all of a sharp corner's.
+const FINE_PIXELS: usize = 1500;
+/// So many are enough for a corner that will be fitted again.
+const ROUGH_PIXELS: usize = 1000;
+/// Pixels that are looked at lie on a lattice: one in so many, and from one row to the next by how many further. Each row and
+/// each column has its share, so that sharp edges are met at all phases, and they are as far from each other as can be.
+const LATTICES: [[usize; 2]; 7] = [[1, 0], [2, 1], [3, 1], [5, 2], [8, 3], [10, 3], [13, 5]];
 /// The least difference between the bright and the dark sectors of a window, as a share of the spread of its grey values. A
 /// sharp corner in its middle has two, one that is off by a third of the window both ways a fifth of that.
 const SECTOR_SHARE: f64 = 0.1;
@@ -204,9 +211,9 @@ impl<'a> Window<'a> {
             return None;
         }
         // The longer the edges that are seen, the better they average noise and, where they are sharp, how they fall between
-        // pixels: the window is as wide as can be. Wide edges need not be looked at in every row and column, sharp ones do.
-        let gap = (1.2 * start.blur_px).clamp(1.0, 8.0).floor();
-        let enough_px = 0.5 * MOST_ACROSS * gap;
+        // pixels: the window is as wide as can be, and wider where edges are.
+        let wider = (1.2 * start.blur_px).clamp(1.0, 8.0).floor();
+        let enough_px = 0.5 * MOST_ACROSS * wider;
         let reach = lengths.map(|length| start.reach.min(enough_px / length).max(2.0 / length));
         let half = [0, 1].map(|axis| reach[0] * a[axis].abs() + reach[1] * b[axis].abs());
         let [width, height] = size.map(|side| side as usize);
@@ -215,7 +222,10 @@ impl<'a> Window<'a> {
             let last = (start.pixel[axis] + half[axis]).floor();
             if last < 0.0 { 0 } else { (last as usize + 1).min(side) }
         });
-        let gap = gap as usize;
+        let area = 4.0 * reach[0] * reach[1] * determinant.abs();
+        let most = if start.enough_px > FINE_PX { ROUGH_PIXELS } else { FINE_PIXELS };
+        let is_sparse = |[one_in, _]: &&[usize; 2]| area <= (one_in * most) as f64;
+        let [one_in, further] = *LATTICES.iter().find(is_sparse).unwrap_or(&[21, 8]);
         // Blur brings what is in the hole nearer; a pixel beside the edge is always looked at.
         let hole_from = lengths.map(|length| match start.hole {
             Some(hole) => (hole.from - 2.5 * start.blur_px / length).max(1.0 / length),
@@ -227,7 +237,7 @@ impl<'a> Window<'a> {
         let (mut sums, mut counts) = ([0.0f64; 4], [0.0f64; 4]);
         // Along a row, either coordinate in steps is linear in x.
         let slopes = [b[1] / determinant, -a[1] / determinant];
-        for v in (low[1]..high[1]).step_by(gap) {
+        for v in low[1]..high[1] {
             let y = v as f64 - start.pixel[1];
             let offsets = [-y * b[0] / determinant, a[0] * y / determinant];
             let (mut from, mut to) = (low[0] as f64, high[0] as f64 - 1.0);
@@ -242,9 +252,10 @@ impl<'a> Window<'a> {
             if to < from {
                 continue;
             }
-            // Columns are counted from the left of the window, as rows are from its top.
-            let skipped = (from.ceil() as usize - low[0]).div_ceil(gap) * gap;
-            for u in (low[0] + skipped..=to.floor() as usize).step_by(gap) {
+            // The lattice is the image's own: columns are counted from its left, rows from its top.
+            let from = from.ceil() as usize;
+            let skipped = (one_in * further + further * (v % one_in) - from % one_in) % one_in;
+            for u in (from + skipped..=to.floor() as usize).step_by(one_in) {
                 let x = u as f64 - start.pixel[0];
                 let along = [slopes[0] * x + offsets[0], slopes[1] * x + offsets[1]];
                 let is_in_hole = along[0].abs() > hole_from[0]

@@ -9,8 +9,8 @@ use pulp::{Arch, Simd, WithSimd};
 use super::N;
 use crate::lanes::{Lanes, MOST_LANES};
 
-/// The most pixels of a window: those in a parallelogram of 29x29 and on its rim, in whole registers.
-pub(super) const MOST_PIXELS: usize = 1024;
+/// The most pixels of a window, in whole registers: what is looked at, and what is on the rim.
+pub(super) const MOST_PIXELS: usize = 1664;
 /// The unknowns, and the residual.
 const COLUMNS: usize = N + 1;
 /// The pixels whose columns are kept at a time: so many fit into the nearest cache.

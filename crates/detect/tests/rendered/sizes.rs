@@ -165,3 +165,15 @@ fn dots_of_another_size_or_layout_are_named() {
         }
     }
 }
+#[test]
+fn dots_cut_by_the_border_rely_on_the_declared_size() {
+    // A column is out of the image: what is left is a whole grid of one column less.
+    let printed = dots(7, 5, CircleLayout::Symmetric);
+    let pose = facing(&printed, [0.17, 0.0, 0.40], 0.0, 0.0, 0.0);
+    let image = render(&camera(), &pose, &printed, &[], &Exposure::default(), 1).unwrap();
+    let n_in = (0..35).filter(|i| truth(&camera(), &pose, &printed, PointId(*i))[0] < 636.0).count();
+    assert_eq!(n_in, 30, "six columns are in the image");
+    assert!(detect(&image, &printed).observations.is_empty());
+    let found = detect(&image, &dots(6, 5, CircleLayout::Symmetric));
+    assert!(!found.is_whole, "{found:?}");
+}
