@@ -32,6 +32,7 @@ mod registry;
 mod regularization_pull;
 mod small_board;
 mod uncertain_focal;
+mod understated_sigmas;
 mod unseen_rim;
 mod weak_rig_link;
 

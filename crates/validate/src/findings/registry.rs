@@ -70,7 +70,8 @@ diagnostics! {
     super::not_monotonic::NotMonotonic,
     super::not_separable::NotSeparable,
     super::regularization_pull::RegularizationPull,
-    super::uncertain_focal::UncertainFocal;
+    super::uncertain_focal::UncertainFocal,
+    super::understated_sigmas::UnderstatedSigmas;
 }
 
 fn find<D: Diagnostic>(case: &Case) -> impl Iterator<Item = Finding> {
