@@ -16,6 +16,10 @@ pub use linear::LinearFunctions;
 /// of a hundred times the last bit then changes a sigma by a percent.
 const LEAST_RECIPROCAL_CONDITION: f64 = 1e-12;
 
+/// The least reciprocal condition against what was there before elimination: the last bit of that may then change a variance
+/// by a tenth. Lenses of 8 to 14 coefficients have sigmas right to 1e-6 down to 8e-15, and wrong by 85 % at 2e-16.
+const LEAST_BEFORE_ELIMINATION: f64 = 2e-15;
+
 /// A column of which elimination leaves no more than this share is lost in rounding.
 const LOST_SHARE: f64 = 1e-14;
 
@@ -70,9 +74,9 @@ fn covariance_of(
         }
     }
     let mut steps = StepSolver::new(&structure);
-    let singular = |reciprocal_condition, direction: Vec<f64>| Error::Singular {
+    let singular = |reciprocal_condition, limit, direction: Vec<f64>| Error::Singular {
         reciprocal_condition,
-        limit: LEAST_RECIPROCAL_CONDITION,
+        limit,
         columns: dominant(&direction, &structure.natural_columns),
     };
     let is_eliminated = steps.eliminate(&structure, &model, 0.0, &threads);
@@ -82,7 +86,7 @@ fn covariance_of(
     if !lost.is_empty() {
         let mut direction = vec![0.0; structure.n_reduced];
         lost.iter().for_each(|&column| direction[column] = 1.0);
-        return Err(singular(0.0, direction));
+        return Err(singular(0.0, LEAST_RECIPROCAL_CONDITION, direction));
     }
     if !factored {
         // A whisper of damping makes the loosest direction visible.
@@ -91,14 +95,18 @@ fn covariance_of(
         } else {
             Vec::new()
         };
-        return Err(singular(0.0, direction));
+        return Err(singular(0.0, LEAST_RECIPROCAL_CONDITION, direction));
     }
     let (smallest, direction) = steps.reduced.loosest_direction();
-    let reciprocal_condition = smallest / largest;
-    // NaN is no condition either.
-    let conditioned = reciprocal_condition > LEAST_RECIPROCAL_CONDITION;
-    if structure.n_reduced > 0 && !conditioned {
-        return Err(singular(reciprocal_condition, direction));
+    let cancellation = steps.reduced.cancellation(&model.reduced);
+    for (largest, limit) in [(largest, LEAST_RECIPROCAL_CONDITION), (cancellation, LEAST_BEFORE_ELIMINATION)]
+    {
+        let reciprocal_condition = smallest / largest;
+        // NaN is no condition either.
+        let conditioned = reciprocal_condition > limit;
+        if structure.n_reduced > 0 && !conditioned {
+            return Err(singular(reciprocal_condition, limit, direction));
+        }
     }
     let mut eliminated = vec![None; problem.parameters.blocks.len()];
     for (group, sums) in structure.groups.iter().zip(model.groups()) {

@@ -144,6 +144,12 @@ impl Reduced {
         (0..self.n).filter(|&column| !kept(column)).collect()
     }
 
+    /// Returns how many times what elimination left of a column's diagonal it was in `sums`, at most: rounding is that of
+    /// what was there.
+    pub(crate) fn cancellation(&self, sums: &ReducedSums) -> f64 {
+        sums.diagonal.iter().zip(&self.diagonal).map(|(before, after)| before / after).fold(1.0, f64::max)
+    }
+
     /// Factors the assembled system; tells whether it is positive definite.
     pub(crate) fn factor(&mut self) -> bool {
         let n = self.n;
