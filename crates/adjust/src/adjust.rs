@@ -97,10 +97,8 @@ fn settled(
     match options.rejection {
         Rejection::None => {
             rig.views.iter_mut().for_each(|(_, term)| term.set_loss(options.loss));
-            let mut placed = seed.rig.cameras.iter().flatten();
-            let has_spline = placed.any(|placed| placed.camera.model.local_support().is_some());
-            let slow_end = if has_spline { SlowEnd::Learn } else { SlowEnd::Persist };
-            passes.solve(&mut rig, &SolveOptions { slow_end, ..long_solve_options(options) })?;
+            let exact = long_solve_options(options);
+            passes.solve(&mut rig, &SolveOptions { slow_end: SlowEnd::Learn, ..exact })?;
         }
         Rejection::Beyond { sigmas } => {
             let lengths = lengths(dataset, &rig);
