@@ -20,10 +20,6 @@ const N: usize = 10;
 const LEAST_BLUR_PX: f64 = 0.30;
 /// The widest window of a corner that is not blurred, in pixels; blur widens it.
 const MOST_ACROSS: f64 = 29.0;
-/// How many pixels of a window are looked at, at most: all of a sharp corner's.
-const FINE_PIXELS: usize = 1500;
-/// So many are enough for a corner that will be fitted again.
-const ROUGH_PIXELS: usize = 1000;
 /// Pixels that are looked at lie on a lattice: one in so many, and from one row to the next by how many further. Each row and
 /// each column has its share, so that sharp edges are met at all phases, and they are as far from each other as can be.
 const LATTICES: [[usize; 2]; 7] = [[1, 0], [2, 1], [3, 1], [5, 2], [8, 3], [10, 3], [13, 5]];
@@ -33,10 +29,21 @@ const SECTOR_SHARE: f64 = 0.1;
 /// What the model itself leaves, in pixels: on rendered boards almost free of noise the corners still scatter by this.
 const MODEL_SIGMA_PX: f64 = 0.005;
 
-/// A last step shorter than this many pixels leaves nothing to be gained.
-pub(crate) const FINE_PX: f64 = 2e-3;
-/// A last step shorter than this many pixels is enough for a corner that will be fitted again.
-pub(crate) const ROUGH_PX: f64 = 0.1;
+/// How well a corner is fitted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Enough {
+    /// A step that moves the corner by fewer pixels may be the last.
+    step_px: f64,
+    /// So may one that takes less than this share off the sum of squares.
+    gain_share: f64,
+    /// How many pixels of a window are looked at, at most.
+    pixels: usize,
+}
+
+/// All of a sharp corner is looked at, until nothing is left to be gained.
+pub(crate) const FINE: Enough = Enough { step_px: 2e-3, gain_share: 1e-3, pixels: 1500 };
+/// What is enough for a corner that will be fitted again.
+pub(crate) const ROUGH: Enough = Enough { step_px: 0.1, gain_share: 1e-2, pixels: 1000 };
 
 /// What is known of a corner before it is fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,8 +64,8 @@ pub(crate) struct Start {
     pub hole: Option<Hole>,
     /// What an earlier fit of this corner found.
     pub before: Option<Shape>,
-    /// How near it is enough to come: a step that moves the corner less is the last.
-    pub enough_px: f64,
+    /// How well it is to be fitted.
+    pub enough: Enough,
 }
 
 /// The inner parts of two opposite squares around a corner, where a marker may be.
@@ -95,55 +102,43 @@ pub(crate) fn fit(image: &GrayImage, start: &Start) -> Option<Fit> {
     let mut pixels = Pixels::none();
     let mut window = Window::around(image, start, &mut pixels)?;
     let mut x = window.first_guess(start);
-    let mut damping = 1e-3;
     let mut normal = window.normal_equations(&x);
+    let mut step = full_step(&normal, &x)?;
+    // What of a full step is taken: where the model leaves much, Gauss-Newton oversteps by the same share each time.
+    let mut share = 1.0;
     for _ in 0..20 {
-        let mut damped = normal.matrix;
-        for i in 0..N {
-            damped[(i, i)] *= 1.0 + damping;
-        }
-        let mut step = damped.cholesky()?.solve(&normal.gradient);
-        // What a blur at its least would still lose is not the others' to make up for.
-        let held = [4, 5].map(|i| x[i] <= LEAST_BLUR_PX.ln() && step[i] > 0.0);
-        if held != [false; 2] {
-            let mut gradient = normal.gradient;
-            for i in [4, 5].into_iter().filter(|i| held[i - 4]) {
-                damped.row_mut(i).fill(0.0);
-                damped.column_mut(i).fill(0.0);
-                (damped[(i, i)], gradient[i]) = (1.0, 0.0);
-            }
-            step = damped.cholesky()?.solve(&gradient);
-        }
-        let mut next = x - step;
+        let mut next = x - share * step;
         // Neither blur may vanish nor fill the window.
         for i in 4..6 {
             next[i] = next[i].clamp(LEAST_BLUR_PX.ln(), window.reach_px.max(0.5).ln());
         }
-        let moved = next[0].hypot(next[1]);
-        if moved.is_nan() || moved >= window.reach_px {
+        let from_origin_px = next[0].hypot(next[1]);
+        if from_origin_px.is_nan() || from_origin_px >= window.reach_px {
             return None;
+        }
+        let gain = share * normal.gradient.dot(&step);
+        let moved_px = (next - x).fixed_rows::<2>(0).norm();
+        // What is left after such a step is far below any sigma, and what it gains is as foretold.
+        if moved_px < start.enough.step_px && gain < start.enough.gain_share * normal.cost {
+            x = next;
+            normal.cost -= gain;
+            break;
         }
         let tried = window.normal_equations(&next);
         // Single precision tells costs apart to a few millionths.
-        if tried.cost <= normal.cost * (1.0 + 1e-5) {
-            // Convergence is quadratic: what is left after such a step is far below any sigma.
-            let is_done = damping <= 1e-3
-                && (next - x).fixed_rows::<2>(0).norm() < start.enough_px
-                && normal.cost - tried.cost < 1e-3 * normal.cost;
+        let is_told = gain > 1e-4 * normal.cost;
+        let is_better = tried.cost <= normal.cost * (1.0 + 1e-5);
+        // Along a step the cost is nearly a parabola: its slope is known at one end, its height at both.
+        if is_told {
+            let bend = tried.cost - normal.cost + 2.0 * gain;
+            share *= if bend > 0.0 { (gain / bend).clamp(0.1, 2.0) } else { 2.0 };
+            share = share.min(1.0);
+        }
+        if is_better {
             (x, normal) = (next, tried);
-            damping = (damping * 0.1).max(1e-9);
-            if is_done {
-                break;
-            }
-        } else {
-            let is_small = (next - x).fixed_rows::<2>(0).norm() < start.enough_px;
-            if is_small && damping <= 1e-3 {
-                break;
-            }
-            damping *= 8.0;
-            if damping > 1e6 {
-                break;
-            }
+            step = full_step(&normal, &x)?;
+        } else if !is_told {
+            break;
         }
     }
     let freedom = window.pixels.count.checked_sub(N).filter(|n| *n > 0)? as f64;
@@ -164,6 +159,23 @@ pub(crate) fn fit(image: &GrayImage, start: &Start) -> Option<Fit> {
     let is_inside =
         (0..2).all(|axis| fit.pixel[axis] >= 1.0 && fit.pixel[axis] <= f64::from(image.size()[axis]) - 2.0);
     (fit.sigma_px.is_finite() && is_inside).then_some(fit)
+}
+
+/// Returns by what the unknowns at `x` are too large, were the model linear.
+fn full_step(normal: &Normal, x: &SVector<f64, N>) -> Option<SVector<f64, N>> {
+    let step = normal.matrix.cholesky()?.solve(&normal.gradient);
+    // What a blur at its least would still lose is not the others' to make up for.
+    let is_held = |i: &usize| x[*i] <= LEAST_BLUR_PX.ln() && step[*i] > 0.0;
+    if ![4, 5].iter().any(is_held) {
+        return Some(step);
+    }
+    let (mut matrix, mut gradient) = (normal.matrix, normal.gradient);
+    for i in [4, 5].into_iter().filter(is_held) {
+        matrix.row_mut(i).fill(0.0);
+        matrix.column_mut(i).fill(0.0);
+        (matrix[(i, i)], gradient[i]) = (1.0, 0.0);
+    }
+    Some(matrix.cholesky()?.solve(&gradient))
 }
 
 /// Returns by how much edges of this blur may seem moved because they fall between pixels.
@@ -223,8 +235,7 @@ impl<'a> Window<'a> {
             if last < 0.0 { 0 } else { (last as usize + 1).min(side) }
         });
         let area = 4.0 * reach[0] * reach[1] * determinant.abs();
-        let most = if start.enough_px > FINE_PX { ROUGH_PIXELS } else { FINE_PIXELS };
-        let is_sparse = |[one_in, _]: &&[usize; 2]| area <= (one_in * most) as f64;
+        let is_sparse = |[one_in, _]: &&[usize; 2]| area <= (one_in * start.enough.pixels) as f64;
         let [one_in, further] = *LATTICES.iter().find(is_sparse).unwrap_or(&[21, 8]);
         // Blur brings what is in the hole nearer; a pixel beside the edge is always looked at.
         let hole_from = lengths.map(|length| match start.hole {
@@ -366,7 +377,7 @@ mod tests {
             reach: 0.55,
             hole: None,
             before: None,
-            enough_px: 2e-3,
+            enough: FINE,
         };
         let error = |start: &Start| {
             let fit = fit(&image, start).unwrap();

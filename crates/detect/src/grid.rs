@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use boresight_data::GrayImage;
 
-use crate::fit::{FINE_PX, Fit, ROUGH_PX, Start, fit};
+use crate::fit::{Enough, FINE, Fit, ROUGH, Start, fit};
 use crate::lattice::{Lattice, distance};
 use crate::local_map::LocalMap;
 
@@ -49,9 +49,9 @@ impl Grid {
         let corners =
             lattice.corners.iter().map(|(at, corner)| (*at, guess(corner.pixel, corner.contrast))).collect();
         let mut grid = Self { corners, is_bright: lattice.is_bright };
-        grid.refit(image, [0.0; 2], ROUGH_PX);
+        grid.refit(image, [0.0; 2], ROUGH);
         grid.grow(image, most);
-        grid.refit(image, [1.0; 2], FINE_PX);
+        grid.refit(image, [1.0; 2], FINE);
         grid.prune();
         (grid.corners.len() >= 4).then_some(grid)
     }
@@ -89,13 +89,13 @@ impl Grid {
         })
     }
 
-    /// Fits every corner from where it is, to within `enough_px`; `bending` scales the curvature that neighbours give
+    /// Fits every corner from where it is, as well as is enough; `bending` scales the curvature that neighbours give
     /// the edges.
-    fn refit(&mut self, image: &GrayImage, bending: [f64; 2], enough_px: f64) {
+    fn refit(&mut self, image: &GrayImage, bending: [f64; 2], enough: Enough) {
         let fitted = self.corners.iter().filter_map(|(at, corner)| {
             let mut start = self.start(*at, corner.pixel, corner.blur_px, bending)?;
             start.before = corner.shape;
-            start.enough_px = enough_px;
+            start.enough = enough;
             let fit = fit(image, &start)?;
             let step_px = start.steps_px.map(|step| step[0].hypot(step[1]));
             let may_move_px = MOVE_SHARE * step_px[0].min(step_px[1]);
@@ -140,7 +140,7 @@ impl Grid {
             reach: REACH,
             hole: None,
             before: None,
-            enough_px: ROUGH_PX,
+            enough: ROUGH,
         })
     }
 

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use boresight_data::{GrayImage, Observation, PointId};
 
-use crate::fit::{FINE_PX, Fit, Hole, ROUGH_PX, Start, fit};
+use crate::fit::{FINE, Fit, Hole, ROUGH, Start, fit};
 use crate::grid::{REACH, is_corner};
 use crate::lattice::distance;
 use crate::local_map::LocalMap;
@@ -168,7 +168,7 @@ impl Labelled<'_> {
             reach: REACH,
             hole: self.drawing.hole,
             before: None,
-            enough_px: if bends { FINE_PX } else { ROUGH_PX },
+            enough: if bends { FINE } else { ROUGH },
         }
     }
 

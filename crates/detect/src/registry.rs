@@ -24,7 +24,7 @@ pub const DETECTORS: &[Detector] = &[
 ];
 
 /// Counts up whenever a detector sees other points than before in the same image, so that nothing old is remembered.
-pub const DETECTORS_REVISION: u32 = 5;
+pub const DETECTORS_REVISION: u32 = 6;
 
 /// No point is believed to be known better than this share of the sigma of the image's middle one.
 const LEAST_SIGMA_SHARE: f64 = 0.5;
