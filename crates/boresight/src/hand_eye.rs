@@ -251,10 +251,14 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     let is_noise_used = chosen_options.robot_noise.is_some();
     let working_points =
         working_points::working_points(&dataset, &calibration, mounting, &jackknife, is_noise_used);
-    let touched = robot.touches.as_ref().and_then(|touches| {
-        let noise = noise.as_ref().filter(|_| is_noise_used);
-        touched::touched_points(touches, &dataset, &calibration, noise)
-    });
+    let robot_noise = match options.noise {
+        NoiseChoice::Known(noise) => Some(noise),
+        _ => noise.as_ref().filter(|_| is_noise_used).map(|noise| noise.noise),
+    };
+    let touched = robot
+        .touches
+        .as_ref()
+        .and_then(|touches| touched::touched_points(touches, &dataset, &calibration, robot_noise));
     findings.extend(touched.as_ref().and_then(touched::doubt));
     findings.extend(doubts::of_noise(&methods, noise.as_ref(), is_noise_used));
     findings.extend(doubts::of_frames(&dataset, held_out));

@@ -460,6 +460,11 @@ fn touches_of_a_job_tell_the_tip() {
     let touched = found.touched.unwrap();
     let sigma_m = touched.tip_sigma_m.unwrap().iter().copied().fold(0.0, f64::max);
     assert!(touched.touches == 6 && (1e-6..1e-3).contains(&sigma_m), "{touched:?}");
+    // Noise that is stated explains its part of what touches miss by.
+    let noise = RobotNoise { rotation_rad: 1e-4, translation_m: 1e-4, stretch: None };
+    let stated = HandEyeOptions { noise: NoiseChoice::Known(noise), ..HandEyeOptions::default() };
+    let found = hand_eye(&job, &stated, &Watch::default()).unwrap();
+    assert!(found.touched.unwrap().expected_m > noise.translation_m);
     // A tip that is not the one which touched.
     job.robot.as_mut().unwrap().touches.as_mut().unwrap().tip_m = Some([0.04, -0.01, 0.15]);
     let found = hand_eye(&job, &options, &Watch::default()).unwrap();

@@ -1,6 +1,6 @@
 //! What touched points of the target say of the result: how far the tip is from where it should be.
 
-use boresight_adjust::EstimatedNoise;
+use boresight_adjust::RobotNoise;
 use boresight_data::{Calibration, Dataset, Finding, Id as _, Mounting, Severity, TargetId};
 use boresight_io::TouchInput;
 use serde::Serialize;
@@ -29,7 +29,7 @@ pub(super) fn touched_points(
     touches: &TouchInput,
     dataset: &Dataset,
     calibration: &Calibration,
-    noise: Option<&EstimatedNoise>,
+    noise: Option<RobotNoise>,
 ) -> Option<TouchedPoints> {
     let robot = calibration.scene.robot.as_ref()?;
     let (tip, mounting) = (robot.tip_in_flange?, robot.mounting()?);
@@ -52,7 +52,6 @@ pub(super) fn touched_points(
         });
     }
     let touches_count = touches.points.len();
-    let noise = noise.map(|noise| noise.noise);
     let by_robot = noise.map_or(0.0, |noise| noise.translation_m.hypot(noise.rotation_rad * reach_m));
     let uncertainty = &calibration.uncertainty;
     let first = uncertainty.names.iter().position(|name| name.contains(".tip_in_"));
