@@ -168,18 +168,17 @@ pub(crate) fn check_height(plane: &RobotPlane, at_m: [f64; 2], height_m: f64) ->
 pub(crate) fn of_object(plane: &RobotPlane, pixels: &[[f64; 2]], at_m: [f64; 2]) -> Vec<Finding> {
     let mut findings = Vec::new();
     let size = plane.lens.as_ref().map(|lens| lens.image_size);
-    if let Some([u, v]) = pixels.iter().copied().find(|pixel| is_outside(*pixel, size)) {
+    let outside: Vec<[f64; 2]> = pixels.iter().copied().filter(|pixel| is_outside(*pixel, size)).collect();
+    if let Some([u, v]) = outside.first() {
         let image = size.map_or("any image".to_owned(), |[w, h]| format!("the image of {w}x{h}"));
-        let message = format!("the pixel ({u:.1}, {v:.1}) is outside {image}");
+        let message = format!(
+            "{} of {} pixels are outside {image}, such as ({u:.1}, {v:.1})",
+            outside.len(),
+            pixels.len()
+        );
         let fix = "check the columns u_px and v_px, and the resolution at which the object was seen";
-        findings.push(finding(
-            "object-outside-image",
-            Severity::Fail,
-            "object",
-            message,
-            [u.max(v), 0.0],
-            fix,
-        ));
+        let share = [outside.len() as f64, 0.0];
+        findings.push(finding("object-outside-image", Severity::Fail, "object", message, share, fix));
     }
     let [cx, cy] = plane.robot_centre_m;
     let away = (at_m[0] - cx).hypot(at_m[1] - cy);
