@@ -105,13 +105,13 @@ pub(crate) fn of_touches(
         }
         _ => {}
     }
-    if let (Some([_, _, z]), true) = (touched.plane.camera_in_base_m, touched.plane.facing > 0.0) {
+    if let (Some(above_m), true) = (camera_above_m(&touched.plane), touched.plane.facing > 0.0) {
         let message = format!(
             "the camera looks along the robot's z axis, from {:.1} mm below the plane",
-            1e3 * (touched.plane.height_m[0] - z)
+            -1e3 * above_m
         );
         let fix = "nothing if it looks up through a window; else u and v, or x and y, are exchanged";
-        let measured = [touched.plane.height_m[0] - z, 0.0];
+        let measured = [-above_m, 0.0];
         findings.push(finding("camera-below-plane", Severity::Note, "plane", message, measured, fix));
     }
     findings
@@ -152,16 +152,20 @@ pub(crate) fn check_stated(
     }
 }
 
-/// Refuses a part that is as far from the plane as the camera, or beyond it.
-pub(crate) fn check_height(plane: &RobotPlane, at_m: [f64; 2], height_m: f64) -> Result<(), RobotError> {
-    let Some([x, y, z]) = plane.camera_in_base_m else { return Ok(()) };
+/// Returns how high the camera is above the plane, along the base frame's z, in metres; `None` where that is not known.
+fn camera_above_m(plane: &RobotPlane) -> Option<f64> {
+    let [x, y, z] = plane.camera_in_base_m?;
     let [level, slope_x, slope_y] = plane.height_m;
     let [cx, cy] = plane.robot_centre_m;
-    let above = z - level - slope_x * (x - cx) - slope_y * (y - cy);
-    if height_m / above >= 1.0 {
-        return Err(RobotError::AboveCamera { at_m, height_m, camera_m: above });
+    Some(z - level - slope_x * (x - cx) - slope_y * (y - cy))
+}
+
+/// Refuses a part that is as far from the plane as the camera, or beyond it.
+pub(crate) fn check_height(plane: &RobotPlane, height_m: f64) -> Result<(), RobotError> {
+    match camera_above_m(plane) {
+        Some(camera_m) if height_m / camera_m >= 1.0 => Err(RobotError::AboveCamera { height_m, camera_m }),
+        _ => Ok(()),
     }
-    Ok(())
 }
 
 /// Returns what is doubtful about where an object is seen, and where that puts it.

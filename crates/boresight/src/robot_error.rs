@@ -66,8 +66,6 @@ pub enum RobotError {
         "the object's points are said to be {:.1} mm above the plane, and the camera is {:.1} mm above it", 1e3 * height_m, 1e3 * camera_m
     )]
     AboveCamera {
-        /// Where it would be, in the base frame, in metres.
-        at_m: [f64; 2],
         /// Its stated height, in metres.
         height_m: f64,
         /// The camera's.

@@ -347,6 +347,7 @@ pub fn place_object(
     plane_sanity::check_stated(height_m, height_sigma_m, angle_sigma_rad)?;
     let lens = lens_of(plane)?;
     let height = height_m.unwrap_or(0.0);
+    plane_sanity::check_height(plane, height)?;
     // Everything measured, in one row: pixels, the angle where it is given, and the height.
     let (inputs, sigmas) = match seen {
         ObjectSeen::Origin { pixel, angle_rad, angle_sigma_rad } => {
@@ -367,7 +368,6 @@ pub fn place_object(
         |plane: &RobotPlane, lens: Option<&Camera>, inputs: &[f64]| placed(plane, lens, seen, inputs);
     let no_place = || Error::from(RobotError::NoPlace);
     let (values, rms_m) = evaluate(plane, lens.as_ref(), &inputs).ok_or_else(no_place)?;
-    plane_sanity::check_height(plane, [values[0], values[1]], height)?;
     // Angles are compared near the found one, not across the cut at half a turn.
     let near = |mut found: [f64; 4]| {
         found[3] = values[3]
