@@ -102,14 +102,25 @@ pub(crate) fn read_cameras(file: &str, bytes: &[u8]) -> Result<Vec<NamedCamera>,
         };
         cameras.push(NamedCamera { name, camera, cam_from_rig, covariance: None });
     }
+    let need = "a camchain has cam0, cam1 and so on, each with camera_model and intrinsics";
+    // A camera after a gap would be lost without a word.
+    let is_beyond = |(key, _): &&(String, Node)| number_of(key).is_some_and(|number| number > cameras.len());
+    if let Value::Map(entries) = &root.value
+        && let Some((key, node)) = entries.iter().find(is_beyond)
+    {
+        let found = format!("there is {key}, but no cam{}", cameras.len());
+        return Err(Error::Malformed { place: Place::line(file, node.line), found, need });
+    }
     if cameras.is_empty() {
-        return Err(Error::Malformed {
-            place: Place::file(file),
-            found: "the file has no camera".to_owned(),
-            need: "a camchain has cam0, cam1 and so on, each with camera_model and intrinsics",
-        });
+        let found = "the file has no camera".to_owned();
+        return Err(Error::Malformed { place: Place::file(file), found, need });
     }
     Ok(cameras)
+}
+
+/// Returns the number of a camera in the chain, of its key.
+fn number_of(key: &str) -> Option<usize> {
+    key.strip_prefix("cam")?.parse().ok()
 }
 
 /// A camera of the chain.
@@ -272,7 +283,8 @@ mod tests {
             ("  resolution: [640, 480]\n", "", "cam0.resolution is `missing`"),
             ("/right/", "/left/", "a topic of its own"),
             ("- [0., 0., 0., 1.]", "- [0., 0., 1.]", "cam1.T_cn_cnm1"),
-            ("cam0:", "camera:", "no camera"),
+            ("cam0:", "camera:", "there is cam1, but no cam0"),
+            ("cam1:", "cam3:", "there is cam3, but no cam1"),
             ("  intrinsics: [", "  intrinsics: [1., ", "5 numbers"),
         ] {
             assert!(good.contains(from), "{from}");
@@ -280,5 +292,7 @@ mod tests {
                 read_cameras("c.yaml", good.replacen(from, to, 1).as_bytes()).unwrap_err().to_string();
             assert!(error.starts_with("c.yaml:") && error.contains(part), "`{part}` is not in: {error}");
         }
+        let error = read_cameras("c.yaml", b"camera: 1\n").unwrap_err().to_string();
+        assert!(error.contains("the file has no camera"), "{error}");
     }
 }
