@@ -171,22 +171,27 @@ pub(crate) fn calibrated(calibration: &Calibration) -> impl Iterator<Item = (&st
 
 /// Returns a distinct name for the file of each camera, of letters that every system takes.
 pub(crate) fn file_stems<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
-    let mut stems: Vec<String> = Vec::new();
+    distinct(names, "-_.")
+}
+
+/// Returns a distinct name for each camera, of ASCII letters, digits and these others.
+pub(crate) fn distinct<'a>(names: impl Iterator<Item = &'a str>, others: &str) -> Vec<String> {
+    let mut taken: Vec<String> = Vec::new();
     for name in names {
         let safe: String = name
             .chars()
-            .map(|c| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' })
+            .map(|c| if c.is_ascii_alphanumeric() || others.contains(c) { c } else { '_' })
             .collect();
         let safe = if safe.trim_matches('.').is_empty() { "camera".to_owned() } else { safe };
-        let mut stem = safe.clone();
+        let mut one = safe.clone();
         let mut n = 2;
-        while stems.contains(&stem) {
-            stem = format!("{safe}-{n}");
+        while taken.contains(&one) {
+            one = format!("{safe}-{n}");
             n += 1;
         }
-        stems.push(stem);
+        taken.push(one);
     }
-    stems
+    taken
 }
 
 /// Returns the name of a file without folder and extension.

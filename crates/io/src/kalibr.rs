@@ -10,7 +10,7 @@ use boresight_data::{Calibration, RigCamera};
 use boresight_geometry::{Matrix3, Pose, Vector3};
 
 use crate::file_storage::{Node, Value, read_file_storage, yaml_number};
-use crate::format::{NamedCamera, OutputFile, calibrated, holds};
+use crate::format::{NamedCamera, OutputFile, calibrated, distinct, holds};
 use crate::{Error, Place};
 
 /// Our name, Kalibr's projection and distortion, and where each of Kalibr's numbers stands among our parameters:
@@ -43,6 +43,8 @@ pub(crate) fn recognizes(bytes: &[u8]) -> bool {
 /// Returns the one file of a calibration.
 pub(crate) fn export(calibration: &Calibration) -> Result<Vec<OutputFile>, Error> {
     let mut text = format!("# written by Boresight {}\n", env!("CARGO_PKG_VERSION"));
+    let names = calibrated(calibration).map(|(name, _)| name.trim_matches('/'));
+    let topics = distinct(names, "-_./");
     let mut before: Option<Pose> = None;
     for (i, (name, RigCamera { camera, cam_from_rig, .. })) in calibrated(calibration).enumerate() {
         let Some((_, projection, distortion, intrinsics, coefficients)) = lens_of(&camera.model) else {
@@ -53,10 +55,10 @@ pub(crate) fn export(calibration: &Calibration) -> Result<Vec<OutputFile>, Error
         let [width, height] = camera.image_size;
         text.push_str(&format!(
             "cam{i}:\n  camera_model: {projection}\n  intrinsics: {}\n  distortion_model: {distortion}\n  \
-             distortion_coeffs: {}\n  resolution: [{width}, {height}]\n  rostopic: {}\n",
+             distortion_coeffs: {}\n  resolution: [{width}, {height}]\n  rostopic: /{}/image_raw\n",
             list(intrinsics),
             list(coefficients),
-            topic(name)
+            topics[i]
         ));
         if let Some(before) = before {
             let pose = *cam_from_rig * before.inverse();
@@ -75,13 +77,6 @@ pub(crate) fn export(calibration: &Calibration) -> Result<Vec<OutputFile>, Error
 
 fn numbers(values: impl Iterator<Item = f64>) -> String {
     format!("[{}]", values.map(yaml_number).collect::<Vec<String>>().join(", "))
-}
-
-/// Returns the topic that bears a camera's name, of letters that need no quotes.
-fn topic(name: &str) -> String {
-    let safe: String =
-        name.chars().map(|c| if c.is_ascii_alphanumeric() || "-_./".contains(c) { c } else { '_' }).collect();
-    format!("/{}/image_raw", safe.trim_matches('/'))
 }
 
 pub(crate) fn read_cameras(file: &str, bytes: &[u8]) -> Result<Vec<NamedCamera>, Error> {
@@ -253,6 +248,16 @@ mod tests {
             assert!(apart.log().norm() < 1e-14);
         }
         assert_eq!([&read[0].name, &read[1].name, &read[2].name], ["left", "right", "cam2"]);
+    }
+
+    #[test]
+    fn names_that_topics_cannot_bear_stay_apart() {
+        let mut calibration = calibration(rig(&[("opencv4", lens(4)), ("opencv4", lens(4))]));
+        for (fit, name) in calibration.cameras.iter_mut().zip(["/rig/a b", "rig/a_b"]) {
+            fit.name = name.to_owned();
+        }
+        let read = read_cameras("c.yaml", &export(&calibration).unwrap()[0].bytes).unwrap();
+        assert_eq!([&read[0].name, &read[1].name], ["rig/a_b", "rig/a_b-2"]);
     }
 
     /// The example of Kalibr's wiki page "Yaml formats", its numbers shortened.
