@@ -1,7 +1,5 @@
 //! Images in which corners are found less exactly than in others.
 
-use std::collections::BTreeSet;
-
 use boresight_data::{CameraId, Severity, View};
 
 use super::case::Case;
@@ -16,8 +14,6 @@ const TIMES: f64 = 2.0;
 const SHARP_PX: f64 = 0.02;
 /// The sigma of a camera's middle view above which all of it is blurred, in pixels.
 const CAUTION_ABOVE_PX: f64 = 0.15;
-/// Sigmas that an image tells all differ; with no more different ones than this they were stated.
-const STATED_SIGMAS: usize = 8;
 /// As many images are named.
 const NAMED: usize = 4;
 
@@ -109,9 +105,7 @@ fn sigma_px(view: &View) -> Option<f64> {
 
 /// Returns the sigma of a camera's middle view, or `None` if its sigmas were stated and are not told by images.
 pub(crate) fn middle_sigma_px(case: &Case, camera: CameraId) -> Option<f64> {
-    let of_camera = || case.used_views_of(camera).flat_map(|used| &used.view.observations);
-    let different: BTreeSet<u64> = of_camera().map(|observation| observation.sigma_px.to_bits()).collect();
-    if different.len() <= STATED_SIGMAS {
+    if case.sigmas_are_stated(camera) {
         return None;
     }
     median(case.used_views_of(camera).filter_map(|used| sigma_px(used.view)))

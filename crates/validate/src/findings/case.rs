@@ -8,6 +8,9 @@ use boresight_data::{
 };
 use boresight_geometry::{Matrix3, Pose, Vector3};
 
+/// Sigmas that an image tells all differ; with no more different ones than this they were stated.
+const STATED_SIGMAS: usize = 8;
+
 /// A dataset and the calibration made from it. Look-ups of what is missing return `None`.
 pub(crate) struct Case<'a> {
     pub(crate) dataset: &'a Dataset,
@@ -90,6 +93,22 @@ impl<'a> Case<'a> {
     pub(crate) fn kept(&self, used: UsedView<'a>) -> impl Iterator<Item = &'a Observation> {
         let observations = used.view.observations.iter();
         observations.filter(move |observation| !self.rejected.contains(&(used.index, observation.point)))
+    }
+
+    /// Returns the observations of a view that are not rejected, with their residuals.
+    pub(crate) fn kept_with_residuals(
+        &self,
+        used: UsedView<'a>,
+    ) -> impl Iterator<Item = (&'a Observation, &'a [f64; 2])> {
+        let both = used.view.observations.iter().zip(&used.fit.residuals_px);
+        both.filter(move |(observation, _)| !self.rejected.contains(&(used.index, observation.point)))
+    }
+
+    /// Tells whether the sigmas of a camera's corners were stated, and not told by images.
+    pub(crate) fn sigmas_are_stated(&self, camera: CameraId) -> bool {
+        let seen = self.used_views_of(camera).flat_map(|used| &used.view.observations);
+        let different: BTreeSet<u64> = seen.map(|observation| observation.sigma_px.to_bits()).collect();
+        different.len() <= STATED_SIGMAS
     }
 
     /// Returns the number of outliers in a view.

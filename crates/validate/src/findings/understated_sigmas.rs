@@ -1,7 +1,5 @@
 //! Sigmas of corners, as images tell them, that are too small for the residuals.
 
-use std::collections::BTreeSet;
-
 use boresight_data::{CameraId, Severity};
 
 use super::case::Case;
@@ -11,8 +9,6 @@ use super::{Diagnostic, Found};
 
 /// Residuals that scatter by more than this many stated sigmas have another cause than what the image tells.
 const TIMES: f64 = 2.0;
-/// Sigmas that an image tells all differ; with no more different ones than this they were stated.
-const STATED_SIGMAS: usize = 8;
 /// The share of the corners, those with the smallest sigmas, whose weight is told.
 const HEAVIEST: usize = 10;
 
@@ -84,26 +80,24 @@ struct Scatter {
 
 /// Returns how the kept residuals of a camera scatter, or `None` if its sigmas were not told by images.
 fn scatter(case: &Case, camera: CameraId) -> Option<Scatter> {
-    let (mut sum, mut n) = (0.0, 0usize);
+    if case.sigmas_are_stated(camera) {
+        return None;
+    }
+    let mut sum = 0.0;
     let mut sigmas = Vec::new();
     for used in case.used_views_of(camera) {
-        let kept: BTreeSet<_> = case.kept(used).map(|observation| observation.point).collect();
-        for (observation, residual) in used.view.observations.iter().zip(&used.fit.residuals_px) {
-            if kept.contains(&observation.point) && observation.sigma_px > 0.0 {
-                sum += residual.iter().map(|r| (r / observation.sigma_px).powi(2)).sum::<f64>();
-                n += 2;
-                sigmas.push(observation.sigma_px);
+        for (observation, residual) in case.kept_with_residuals(used) {
+            let sigma_px = observation.sigma_px;
+            if sigma_px > 0.0 {
+                sum += residual.iter().map(|r| (r / sigma_px).powi(2)).sum::<f64>();
+                sigmas.push(sigma_px);
             }
         }
-    }
-    let different: BTreeSet<u64> = sigmas.iter().map(|sigma: &f64| sigma.to_bits()).collect();
-    if different.len() <= STATED_SIGMAS {
-        return None;
     }
     sigmas.sort_by(f64::total_cmp);
     let weight = |sigmas: &[f64]| sigmas.iter().map(|sigma| sigma.powi(-2)).sum::<f64>();
     let heaviest = weight(&sigmas[..sigmas.len().div_ceil(HEAVIEST)]) / weight(&sigmas);
-    Some(Scatter { times: (sum / n as f64).sqrt(), heaviest })
+    Some(Scatter { times: (sum / (2 * sigmas.len()) as f64).sqrt(), heaviest })
 }
 
 #[cfg(test)]
