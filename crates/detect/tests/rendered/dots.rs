@@ -7,7 +7,7 @@ use boresight_synthetic::{Exposure, render};
 use super::tags::{facing, root_mean_square};
 use super::{camera, errors};
 
-fn dots(columns: u32, rows: u32, layout: CircleLayout) -> Target {
+pub(super) fn dots(columns: u32, rows: u32, layout: CircleLayout) -> Target {
     let spacing_m = if layout == CircleLayout::Symmetric { 0.035 } else { 0.02 };
     let geometry = Geometry::Circles { columns, rows, spacing_m, layout };
     Target { name: "dots".to_owned(), geometry, shape: Shape::Rigid }

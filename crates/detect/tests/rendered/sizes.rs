@@ -2,11 +2,12 @@
 
 use std::collections::BTreeSet;
 
-use boresight_data::{CircleLayout, Geometry, GrayImage, PointId, Shape, Target};
+use boresight_data::{CircleLayout, GrayImage, PointId, Target};
 use boresight_detect::{Detection, Missed, detect};
 use boresight_geometry::Pose;
 use boresight_synthetic::{Exposure, render};
 
+use super::dots::dots;
 use super::tags::facing;
 use super::{board, camera, truth};
 
@@ -127,12 +128,6 @@ fn parts_of_boards_of_another_size_say_that_they_rely_on_the_declared_one() {
     assert!(n_labelled >= 8, "{n_labelled} of the cut boards are used");
     // A whole board says that it is as declared.
     assert!(detect(&whole_views(&printed)[0].0, &printed).is_whole);
-}
-
-fn dots(columns: u32, rows: u32, layout: CircleLayout) -> Target {
-    let spacing_m = if layout == CircleLayout::Symmetric { 0.035 } else { 0.02 };
-    let geometry = Geometry::Circles { columns, rows, spacing_m, layout };
-    Target { name: "dots".to_owned(), geometry, shape: Shape::Rigid }
 }
 
 #[test]
