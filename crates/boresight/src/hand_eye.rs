@@ -102,6 +102,21 @@ pub struct HandEyeOutcome {
     pub jackknife: [f64; 6],
 }
 
+/// An adjustment that may become the answer.
+struct Candidate {
+    options: AdjustOptions,
+    /// The scene it starts from.
+    start: Scene,
+    /// How it foretells each frame.
+    held_out: Vec<HeldOut>,
+}
+
+impl Candidate {
+    fn is_stretched(&self) -> bool {
+        self.options.robot_noise.is_some_and(|noise| noise.stretch.is_some())
+    }
+}
+
 /// Calibrates cameras and robot of a job.
 pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<HandEyeOutcome, Error> {
     let robot = job.robot.as_ref().ok_or(Error::NoRobotPoses)?;
@@ -161,11 +176,11 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
 
     let mut methods =
         compare::closed_forms(&dataset, &first.calibration.scene, mounting, &frames, robot.axes);
-    let mut candidates: Vec<(AdjustOptions, Vec<HeldOut>)> = Vec::new();
+    let mut candidates: Vec<Candidate> = Vec::new();
     let mut offer = |name: &str, options: AdjustOptions, start: &Scene| -> Result<(), Error> {
         let held_out = leave_one_out(&dataset, start, &options)?;
         methods.push(MethodFigures::of(name, &held_out));
-        candidates.push((options, held_out));
+        candidates.push(Candidate { options, start: start.clone(), held_out });
         Ok(())
     };
     offer("adjusted, robot exact", exact.clone(), &seed)?;
@@ -214,27 +229,20 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
         }
     }
     let n_closed = methods.len() - candidates.len();
-    let is_stretched = |(options, _): &(AdjustOptions, Vec<HeldOut>)| {
-        options.robot_noise.is_some_and(|noise| noise.stretch.is_some())
-    };
     // What foretells best with positions as the robot says them, and what needs them corrected.
-    let stretched = candidates.iter().position(is_stretched);
+    let stretched = candidates.iter().position(Candidate::is_stretched);
     let plain = best_of(&methods[n_closed..n_closed + stretched.unwrap_or(candidates.len())]);
-    let needed =
-        stretched.filter(|&stretched| stretch::is_needed(&candidates[stretched].1, &candidates[plain].1));
+    let is_needed =
+        |&which: &usize| stretch::is_needed(&candidates[which].held_out, &candidates[plain].held_out);
+    let needed = stretched.filter(is_needed);
     let chosen = needed.unwrap_or(plain);
-    let (chosen_options, held_out) = &candidates[chosen];
-    let start = |which: usize| match (&noises, candidates[which].0.robot_noise) {
-        ([_, Some(noise)], Some(_)) if Some(which) == stretched => &noise.scene,
-        ([Some(noise), _], Some(_)) => &noise.scene,
-        _ if which == 1 => &with_first_lenses,
-        _ => &seed,
-    };
-    let mut calibration = adjust(&dataset, start(chosen), chosen_options, watch.observer.clone())?;
+    let Candidate { options: chosen_options, start, held_out } = &candidates[chosen];
+    let mut calibration = adjust(&dataset, start, chosen_options, watch.observer.clone())?;
     let without_stretch = match needed {
         None => None,
         Some(_) => {
-            let scene = optimize(&dataset, start(plain), &candidates[plain].0)?.scene;
+            let Candidate { options, start, .. } = &candidates[plain];
+            let scene = optimize(&dataset, start, options)?.scene;
             scene.robot.map(|robot| PlainAnswer {
                 method: methods[n_closed + plain].clone(),
                 carrier_from_rig: robot.carrier_from_rig(),
