@@ -5,6 +5,8 @@ use boresight_data::{Calibration, Dataset, Finding, Id as _, Mounting, Severity,
 use boresight_io::TouchInput;
 use serde::Serialize;
 
+use crate::results::sigma_of;
+
 /// Touches that miss by more than this many times what their sigma and the robot's noise explain are told, and by more
 /// than the second the result fails. Of 27 numbers the root mean square is hardly ever 1.5 times its sigma.
 const MISS: [f64; 2] = [3.0, 10.0];
@@ -53,16 +55,16 @@ pub(super) fn touched_points(
     }
     let touches_count = touches.points.len();
     let by_robot = noise.map_or(0.0, |noise| noise.translation_m.hypot(noise.rotation_rad * reach_m));
-    let uncertainty = &calibration.uncertainty;
-    let first = uncertainty.names.iter().position(|name| name.contains(".tip_in_"));
-    let n = uncertainty.names.len();
-    let variance = |i: usize| uncertainty.covariance.get(i * n + i).copied();
-    let sigmas = first.map(|first| [0, 1, 2].map(|axis| variance(first + axis).map(f64::sqrt)));
-    let known = |sigmas: [Option<f64>; 3]| -> Option<[f64; 3]> { Some([sigmas[0]?, sigmas[1]?, sigmas[2]?]) };
+    let bearer = match mounting {
+        Mounting::RigOnFlange => "flange",
+        Mounting::RigInBase => "base",
+    };
+    let sigma_m = |axis: &str| sigma_of(calibration, &format!("robot.tip_in_{bearer}.{axis}_m"));
+    let tip_sigma_m = || Some([sigma_m("x")?, sigma_m("y")?, sigma_m("z")?]);
     Some(TouchedPoints {
         touches: touches_count,
         tip_m: tip.into(),
-        tip_sigma_m: sigmas.and_then(known).filter(|_| touches.tip_m.is_none()),
+        tip_sigma_m: tip_sigma_m().filter(|_| touches.tip_m.is_none()),
         rms_m: (square / (3 * touches_count).max(1) as f64).sqrt(),
         expected_m: touches.sigma_m.hypot(by_robot),
     })
