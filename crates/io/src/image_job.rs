@@ -60,13 +60,7 @@ pub fn load_images(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Optio
     let Some(first) = images.first() else { return Ok(None) };
     let head = head_beside("image", &first.path, &others, overrides)?;
     let robot = overrides.robot.clone();
-    let listed: Vec<Listed> = if overrides.cameras.is_empty() {
-        head.job.cameras.iter().map(|spec| spec.listed.clone()).collect()
-    } else {
-        let named =
-            |(name, pattern): &(String, String)| Listed { name: name.clone(), images: Some(pattern.clone()) };
-        overrides.cameras.iter().map(named).collect()
-    };
+    let listed = head.listed(&overrides.cameras);
     let names: Vec<&str> = images.iter().map(|image| image.name.as_str()).collect();
     let taken = assign("the images", &names, &listed)?;
     Ok(Some(ImageJob { images, head, listed, taken, robot }))

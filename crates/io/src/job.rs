@@ -236,6 +236,18 @@ pub(crate) struct Head {
     pub others: Vec<PathBuf>,
 }
 
+impl Head {
+    /// Returns the cameras that the job lists, or those that were named with patterns in their place.
+    pub fn listed(&self, named: &[(String, String)]) -> Vec<Listed> {
+        if named.is_empty() {
+            return self.job.cameras.iter().map(|spec| spec.listed.clone()).collect();
+        }
+        let listed =
+            |(name, pattern): &(String, String)| Listed { name: name.clone(), images: Some(pattern.clone()) };
+        named.iter().map(listed).collect()
+    }
+}
+
 /// Reads the job file among `inputs`, if there is one, and the target.
 pub(crate) fn head(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<Head, Error> {
     let (jobs, others): (Vec<PathBuf>, Vec<PathBuf>) = inputs

@@ -42,7 +42,8 @@ pub struct RecordingOptions {
 pub struct RecordingJob {
     files: Vec<PathBuf>,
     head: Head,
-    cameras: Vec<(String, String)>,
+    /// The cameras that the job lists, or those that were named with patterns in its place.
+    listed: Vec<Listed>,
     robot: RobotOverrides,
     options: RecordingOptions,
 }
@@ -71,8 +72,8 @@ pub fn load_recordings(inputs: &[PathBuf], overrides: &JobOverrides) -> Result<O
     }
     let Some(first) = files.first() else { return Ok(None) };
     let head = head_beside("recording", first, &others, overrides)?;
-    let (cameras, robot) = (overrides.cameras.clone(), overrides.robot.clone());
-    Ok(Some(RecordingJob { files, head, cameras, robot, options: overrides.recording }))
+    let (listed, robot) = (head.listed(&overrides.cameras), overrides.robot.clone());
+    Ok(Some(RecordingJob { files, head, listed, robot, options: overrides.recording }))
 }
 
 impl RecordingJob {
@@ -92,9 +93,8 @@ impl RecordingJob {
     /// Which topics are used is known beforehand where the summaries tell what there is; else images are handed out
     /// that are not used.
     pub fn read(&self, deliver: &mut dyn FnMut(RecordedImage) -> ControlFlow<()>) -> Result<Contents, Error> {
-        let listed = self.listed();
         let unused = |contents: &Contents| -> BTreeSet<usize> {
-            let used = cameras_of(contents, &listed, &mut Vec::new()).unwrap_or_default();
+            let used = cameras_of(contents, &self.listed, &mut Vec::new()).unwrap_or_default();
             let is_idle = |idx: &usize| !used.is_empty() && !used.contains_key(idx);
             (0..contents.topics.len()).filter(is_idle).collect()
         };
@@ -124,21 +124,11 @@ impl RecordingJob {
         Ok(contents)
     }
 
-    fn listed(&self) -> Vec<Listed> {
-        if self.cameras.is_empty() {
-            return self.head.job.cameras.iter().map(|spec| spec.listed.clone()).collect();
-        }
-        let listed =
-            |(name, pattern): &(String, String)| Listed { name: name.clone(), images: Some(pattern.clone()) };
-        self.cameras.iter().map(listed).collect()
-    }
-
     /// Returns the job, with what was seen in each image, in any order.
     ///
     /// What cannot be used becomes a finding. It is an error if there is no image or nothing was detected at all.
     pub fn with_detections(self, contents: Contents, mut seen: Vec<SeenRecorded>) -> Result<Job, Error> {
-        let listed = self.listed();
-        let Self { files, mut head, cameras: _, robot, options } = self;
+        let Self { files, mut head, listed, robot, options } = self;
         if image_topics(&contents).is_empty() {
             let file = files.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
             let topic =
