@@ -117,7 +117,7 @@ impl ImageJob {
                 frame: Some(taken.frame),
                 image: Some(image.name.clone()),
                 line: 1,
-                observations: seen.observations.clone(),
+                observations: Vec::new(),
             };
             views.push((seen, view));
         }
@@ -125,7 +125,8 @@ impl ImageJob {
     }
 }
 
-/// Returns the job of views that know their cameras and frames; what was noticed so far is told with what is noticed here.
+/// Returns the job of views that know their cameras and frames, and have no observations yet: those of the images are
+/// theirs once all images are judged. What was noticed so far is told with what is noticed here.
 pub(crate) fn finish(
     head: Head,
     robot: &RobotOverrides,
@@ -139,15 +140,12 @@ pub(crate) fn finish(
     findings.note_sizes(&specs, &mut views);
     let mut images: Vec<&mut SeenImage> = views.iter_mut().map(|(seen, _)| seen).collect();
     refuse_other_size(&head.target, &mut images);
-    for (seen, view) in &mut views {
-        view.observations.clone_from(&seen.observations);
-    }
     findings.note_missed(&views);
     findings.note_legacy(&views);
-    if views.iter().all(|(_, view)| view.observations.is_empty()) {
+    if views.iter().all(|(seen, _)| seen.observations.is_empty()) {
         return Err(nothing_detected(&head.target, n_images, &views));
     }
-    let view = |(_, view): (SeenImage, SeenView)| view;
+    let view = |(seen, view): (SeenImage, SeenView)| SeenView { observations: seen.observations, ..view };
     let file = SeenFile {
         file: "the images".to_owned(),
         views: views.into_iter().map(view).collect(),
@@ -274,8 +272,8 @@ impl Findings<'_> {
         }
     }
 
-    /// Notes in how many images of each camera the target was not detected and why. Whole boards of another size, in
-    /// several images, say that the target is another than declared.
+    /// Notes in how many images of each camera the target was not detected and why. Boards of another size, in several
+    /// images, are told apart: who sees them beside the target may take them away.
     fn note_missed(&mut self, views: &[(SeenImage, SeenView)]) {
         let mut of_camera: BTreeMap<&str, BTreeMap<&str, Vec<&str>>> = BTreeMap::new();
         for (seen, view) in views {

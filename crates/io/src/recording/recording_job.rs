@@ -188,7 +188,7 @@ impl RecordingJob {
                 frame: Some(name.clone()),
                 image: Some(images[i].clone()),
                 line: 1,
-                observations: shot.seen.observations.clone(),
+                observations: Vec::new(),
             };
             views.push((shot.seen, view));
         }
