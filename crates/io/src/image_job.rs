@@ -193,8 +193,8 @@ fn nothing_detected(target: &Target, images: usize, views: &[(SeenImage, SeenVie
             *reasons.entry(missed).or_default() += 1;
         }
     }
-    let named = Tally::of(views.iter().map(|(seen, _)| seen.size)).named(target);
-    let seen = named.map(|(size, n)| (resized(target, size), n));
+    let refuted = Tally::of(views.iter().map(|(seen, _)| seen.size)).refuted_by(target);
+    let seen = refuted.map(|(size, n)| (resized(target, size), n));
     let most = reasons.iter().max_by_key(|(_, count)| **count);
     let why = match (&seen, most) {
         (Some((seen, n)), _) => format!("in {n} of them the board has {}", describe(seen)),
@@ -469,5 +469,10 @@ mod tests {
         let error = images.with_detections(vec![other(0), labelled]).unwrap_err();
         assert!(error.to_string().contains("in 1 of them the board has 9x6 inner corners"), "{error}");
         assert!(error.hint().unwrap().contains("--target chessboard:9x6:10mm"), "{:?}", error.hint());
+        // A row that is covered in one image is no other board.
+        let (_folder, images) = job(&["1.png", "2.png"], &[]);
+        let short = seen("a", [64, 48], 0).map(|seen| SeenImage { size: SizeSeen::Short([9, 6]), ..seen });
+        let error = images.with_detections(vec![short, seen("b", [64, 48], 0)]).unwrap_err();
+        assert!(!error.hint().unwrap().contains("9x6"), "{error} {:?}", error.hint());
     }
 }

@@ -33,8 +33,7 @@ pub enum SizeSeen {
 /// They do if more of them show another size than the declared one, or if none shows the declared size and several alike
 /// show less.
 pub fn refuse_other_size(target: &Target, images: &mut [&mut SeenImage]) {
-    let tally = Tally::of(images.iter().map(|image| image.size));
-    let Some((size, n)) = tally.named(target).filter(|_| tally.refutes()) else { return };
+    let Some((size, n)) = Tally::of(images.iter().map(|image| image.size)).refuted_by(target) else { return };
     let (size, declared) = (describe(&resized(target, size)), describe(target));
     for image in images.iter_mut().filter(|image| !image.observations.is_empty()) {
         image.observations.clear();
@@ -64,15 +63,20 @@ impl Tally {
         tally
     }
 
+    /// Returns the size that most images give the target, and how many do, if it is not as declared.
+    pub fn refuted_by(&self, target: &Target) -> Option<([u32; 2], usize)> {
+        self.named(target).filter(|_| self.refutes())
+    }
+
     /// Tells whether the target is not as declared.
-    pub fn refutes(&self) -> bool {
+    fn refutes(&self) -> bool {
         let n_other: usize = self.others.values().sum();
         let n_alike = self.shorts.values().copied().max().unwrap_or(0);
         n_other > self.n_declared || (self.n_declared == 0 && n_alike >= ALIKE)
     }
 
     /// Returns the size that most images give the target in place of the declared one, and how many do.
-    pub fn named(&self, target: &Target) -> Option<([u32; 2], usize)> {
+    fn named(&self, target: &Target) -> Option<([u32; 2], usize)> {
         let sizes = if self.others.is_empty() { &self.shorts } else { &self.others };
         let is_numbered = matches!(target.geometry, Geometry::Charuco { .. } | Geometry::AprilGrid { .. });
         if !is_numbered {
