@@ -38,6 +38,13 @@ impl<S: Simd> Lanes<S> {
         Self { simd: self.simd, value: self.simd.mul_add_f32s(self.value, factor.value, summand.value) }
     }
 
+    /// Returns `summand - self * factor`.
+    #[inline(always)]
+    pub fn negate_mul_add(self, factor: Self, summand: Self) -> Self {
+        let value = self.simd.negate_mul_add_f32s(self.value, factor.value, summand.value);
+        Self { simd: self.simd, value }
+    }
+
     #[inline(always)]
     pub fn abs(self) -> Self {
         Self { simd: self.simd, value: self.simd.abs_f32s(self.value) }

@@ -165,9 +165,9 @@ fn multiply<S: Simd, const A: usize, const B: usize>(
 /// The model and its derivatives, with what is the same for all pixels.
 struct Formula<S: Simd> {
     x: [Lanes<S>; N],
+    /// Sine and cosine of the edges' angles over their blurs, and the curvatures times these: lengths are in blurs.
     sin: [Lanes<S>; 2],
     cos: [Lanes<S>; 2],
-    inverse: [Lanes<S>; 2],
     curvatures: [Lanes<S>; 2],
     /// The cosine of the angle between the edges, half its square, a sixth of its cube.
     powers: [Lanes<S>; 3],
@@ -182,6 +182,7 @@ impl<S: Simd> Formula<S> {
         let [(sin1, cos1), (sin2, cos2)] = [x[2].sin_cos(), x[3].sin_cos()];
         // The square between the two steps is where d₁ and d₂ are positive; this is minus ρ.
         let cosine = sin1 * sin2 + cos1 * cos2;
+        let blurs = [x[4].exp(), x[5].exp()];
         let zero = splat.of(0.0);
         let mut all = [zero; N];
         for i in 0..N {
@@ -189,10 +190,9 @@ impl<S: Simd> Formula<S> {
         }
         Self {
             x: all,
-            sin: [splat.of(sin1), splat.of(sin2)],
-            cos: [splat.of(cos1), splat.of(cos2)],
-            inverse: [splat.of((-x[4]).exp()), splat.of((-x[5]).exp())],
-            curvatures: [splat.of(curvatures[0]), splat.of(curvatures[1])],
+            sin: [splat.of(sin1 / blurs[0]), splat.of(sin2 / blurs[1])],
+            cos: [splat.of(cos1 / blurs[0]), splat.of(cos2 / blurs[1])],
+            curvatures: [splat.of(curvatures[0] * blurs[0]), splat.of(curvatures[1] * blurs[1])],
             powers: [splat.of(cosine), splat.of(0.5 * cosine * cosine), splat.of(cosine.powi(3) / 6.0)],
             turn: splat.of(sin1 * cos2 - cos1 * sin2),
         }
@@ -203,40 +203,43 @@ impl<S: Simd> Formula<S> {
     fn columns(&self, simd: S, [u, v, grey, weight]: [S::f32s; 4], columns: &mut [S::f32s; COLUMNS]) {
         let [u, v, grey, weight] =
             [Lanes::new(simd, u), Lanes::new(simd, v), Lanes::new(simd, grey), Lanes::new(simd, weight)];
-        let Self { x, sin, cos, inverse, curvatures, powers, turn } = *self;
+        let Self { x, sin, cos, curvatures, powers, turn } = *self;
+        let (zero, one) = (x[0].like(0.0), x[0].like(1.0));
         let (dx, dy) = (u - x[0], v - x[1]);
         let along1 = dx.mul_add(cos[0], dy * sin[0]);
         let along2 = dx.mul_add(cos[1], dy * sin[1]);
-        let d1 = dy * cos[0] - dx * sin[0] - curvatures[0] * along1 * along1;
-        let d2 = dx * sin[1] - dy * cos[1] + curvatures[1] * along2 * along2;
-        let (h, k) = (d1 * inverse[0], d2 * inverse[1]);
+        let h = dx.negate_mul_add(sin[0], dy * cos[0]);
+        let h = (curvatures[0] * along1).negate_mul_add(along1, h);
+        let k = dy.negate_mul_add(cos[1], dx * sin[1]);
+        let k = (curvatures[1] * along2).mul_add(along2, k);
         let ([e1, p1], [e2, p2]) = (error_function(h), error_function(k));
-        let one = x[0].like(1.0);
-        let (h2, k2) = (h.mul_add(h, one.like(-1.0)), k.mul_add(k, one.like(-1.0)));
+        let (h2, k2) = (h.mul_add(h, zero - one), k.mul_add(k, zero - one));
+        let (hk, h2k2) = (h * k, h2 * k2);
         // p is 2 φ, so the series' 4 φ φ is p p.
         let both = p1 * p2;
         let [c, half_c2, sixth_c3] = powers;
-        let bracket = half_c2 * h * k - c - sixth_c3 * h2 * k2;
+        let third_c3 = sixth_c3 + sixth_c3;
+        let bracket = sixth_c3.negate_mul_add(h2k2, half_c2.mul_add(hk, zero - c));
         let model = e1.mul_add(e2, both * bracket);
-        let two_sixths = sixth_c3 + sixth_c3;
-        let by_h = p1 * e2 + both * (half_c2 * k - two_sixths * h * k2 - h * bracket);
-        let by_k = p2 * e1 + both * (half_c2 * h - two_sixths * k * h2 - k * bracket);
-        let by_c = both * (c * h * k - one - half_c2 * h2 * k2);
         let scale = x[9] * weight;
-        let (by_d1, by_d2) = (scale * by_h * inverse[0], scale * by_k * inverse[1]);
-        let by_turn = scale * by_c * turn;
+        let by_h = third_c3.mul_add(k2, bracket).negate_mul_add(h, half_c2 * k);
+        let by_h = scale * both.mul_add(by_h, p1 * e2);
+        let by_k = third_c3.mul_add(h2, bracket).negate_mul_add(k, half_c2 * h);
+        let by_k = scale * both.mul_add(by_k, p2 * e1);
+        let by_c = scale * both * half_c2.negate_mul_add(h2k2, c.mul_add(hk, zero - one));
+        let by_turn = by_c * turn;
         let residual = x[9].mul_add(model, x[8].mul_add(v, x[7].mul_add(u, x[6]))) - grey;
-        let zero = one.like(0.0);
         *columns = [
-            (by_d1 * sin[0] - by_d2 * sin[1]).value,
-            (by_d2 * cos[1] - by_d1 * cos[0]).value,
-            (zero - by_d1 * along1 - by_turn).value,
-            (by_d2 * along2 + by_turn).value,
-            (zero - by_d1 * d1).value,
-            (zero - by_d2 * d2).value,
+            by_k.negate_mul_add(sin[1], by_h * sin[0]).value,
+            by_h.negate_mul_add(cos[0], by_k * cos[1]).value,
+            (zero - by_h.mul_add(along1, by_turn)).value,
+            by_k.mul_add(along2, by_turn).value,
+            (zero - by_h * h).value,
+            (zero - by_k * k).value,
             weight.value,
-            (weight * u).value,
-            (weight * v).value,
+            // Behind the last pixel, both places are zero.
+            u.value,
+            v.value,
             (weight * model).value,
             (weight * residual).value,
         ];
@@ -277,7 +280,7 @@ fn error_function<S: Simd>(x: Lanes<S>) -> [Lanes<S>; 2] {
     rest = rest.mul_add(t, like.like(1.421_413_7));
     rest = rest.mul_add(t, like.like(-0.284_496_74));
     rest = rest.mul_add(t, like.like(0.254_829_6));
-    let value = like.like(1.0) - rest * t * power;
+    let value = (rest * t).negate_mul_add(power, like.like(1.0));
     // √(2/π)
     [value.signed_as(x), power * like.like(0.797_884_6)]
 }
