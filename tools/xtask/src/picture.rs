@@ -87,10 +87,12 @@ fn draw(report: &Report, corners: &str) -> String {
             let Some(spread) = spread else { continue };
             let (column, row) = (at % map.columns, at / map.columns);
             let (x, y) = ((column as f64 - 0.5) * across, (row as f64 - 0.5) * down);
+            // Each reaches a little under the next, so that nothing shines through between them.
+            let (wide, high) = (across + 0.5, down + 0.5);
             let fill = colour(worst_px(spread));
             let _ = writeln!(
                 svg,
-                "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{across:.2}\" height=\"{down:.2}\" fill=\"{fill}\"/>"
+                "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{wide:.2}\" height=\"{high:.2}\" fill=\"{fill}\"/>"
             );
         }
         for line in corners.lines().skip(1) {
