@@ -60,10 +60,9 @@ pub(crate) fn run(arguments: &CalibrateArguments) -> Result<ExitCode, Failure> {
         answer(conclusion.as_bytes())?;
     }
     note(&format!("done in {:.2} s", begin.elapsed().as_secs_f64()));
-    Ok(match (outcome.calibration.solve.converged, outcome.verdict) {
-        (false, _) => ExitCode::from(Reason::Solve.code()),
-        (true, Verdict::Fail) => ExitCode::from(1),
-        (true, Verdict::Good | Verdict::Caution) => ExitCode::SUCCESS,
+    Ok(match outcome.calibration.solve.converged {
+        false => ExitCode::from(Reason::Solve.code()),
+        true => exit_code(outcome.verdict),
     })
 }
 
@@ -124,6 +123,14 @@ fn quoted(path: &Path) -> String {
     let text = path.display().to_string();
     let is_plain = !text.is_empty() && text.chars().all(|c| c.is_alphanumeric() || "/._-+,:@%".contains(c));
     if is_plain { text } else { format!("'{}'", text.replace('\'', r"'\''")) }
+}
+
+/// Returns the exit code of a verdict on what was written.
+pub(crate) fn exit_code(verdict: Verdict) -> ExitCode {
+    match verdict {
+        Verdict::Fail => ExitCode::from(1),
+        Verdict::Good | Verdict::Caution => ExitCode::SUCCESS,
+    }
 }
 
 /// Tells the findings on stderr: what, where, and what to do.

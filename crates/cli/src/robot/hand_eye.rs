@@ -6,14 +6,14 @@ use std::time::Instant;
 
 use boresight::{
     CalibrateOptions, HandEyeDocument, HandEyeOptions, HandEyeOutcome, Mounting, NoiseChoice, OutputFile,
-    Pose, PoseConvention, RobotNoise, RobotOverrides, RobotRows, SightsJob, SigmaSource, Verdict, Watch,
+    Pose, PoseConvention, RobotNoise, RobotOverrides, RobotRows, SightsJob, SigmaSource, Watch,
     read_sights_job, result_files, write_files,
 };
 use clap::{Args, ValueEnum};
 
 use super::sighted_poses::{self, Answer};
 use crate::arguments::InputArguments;
-use crate::calibrate::tell_findings;
+use crate::calibrate::{exit_code, tell_findings};
 use crate::failure::{Failure, Reason};
 use crate::figures::{significant, with_sigma};
 use crate::inputs::{self, InputKind};
@@ -126,10 +126,9 @@ pub(crate) fn run(arguments: &HandEyeArguments) -> Result<ExitCode, Failure> {
     let verdict = summary::verdict_line(result.outcome.verdict, &result.outcome.findings);
     note(&format!("{verdict}; written to {}", arguments.output.display()));
     note(&format!("done in {:.2} s", begin.elapsed().as_secs_f64()));
-    Ok(match (result.outcome.calibration.solve.converged, result.outcome.verdict) {
-        (false, _) => ExitCode::from(Reason::Solve.code()),
-        (true, Verdict::Fail) => ExitCode::from(1),
-        (true, Verdict::Good | Verdict::Caution) => ExitCode::SUCCESS,
+    Ok(match result.outcome.calibration.solve.converged {
+        false => ExitCode::from(Reason::Solve.code()),
+        true => exit_code(result.outcome.verdict),
     })
 }
 

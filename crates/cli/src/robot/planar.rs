@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use boresight::{PLANAR_NAMES, PlanarMotion, Severity, planar, planar_to_json, read_planar_motions};
+use boresight::{PLANAR_NAMES, PlanarMotion, planar, planar_to_json, read_planar_motions, verdict};
 use clap::Args;
 
-use crate::calibrate::tell_findings;
+use crate::calibrate::{exit_code, tell_findings};
 use crate::failure::{Failure, Reason};
 use crate::figures::with_sigma;
 use crate::streams::{answer, note};
@@ -54,6 +54,5 @@ pub(crate) fn run(arguments: &PlanarArguments) -> Result<ExitCode, Failure> {
         1e3 * metres,
         radians.to_degrees()
     ));
-    let failed = outcome.findings.iter().any(|finding| finding.severity == Severity::Fail);
-    Ok(ExitCode::from(u8::from(failed)))
+    Ok(exit_code(verdict(&outcome.findings)))
 }

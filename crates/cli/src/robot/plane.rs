@@ -6,15 +6,15 @@ use std::process::ExitCode;
 
 use boresight::{
     Heights, KnownRig, PLANE_SCHEMA, PatternTouch, PlaneDocument, PlaneModel, PlaneOutcome, Pose,
-    PoseConvention, PoseDirection, RobotTable, RotationColumns, RotationKind, Severity, TipKnowledge, Touch,
+    PoseConvention, PoseDirection, RobotTable, RotationColumns, RotationKind, TipKnowledge, Touch,
     TouchDocument, TouchLens, TouchOptions, TouchedPlane, TriedDocument, TriedModel, UnitQuaternion, Vector3,
-    hash, pattern_procedure, plane_to_json, read_robot_job, robot_plane, write_atomically,
+    hash, pattern_procedure, plane_to_json, read_robot_job, robot_plane, verdict, write_atomically,
 };
 use clap::Args;
 use serde::Deserialize;
 
 use super::locate::is_job;
-use crate::calibrate::tell_findings;
+use crate::calibrate::{exit_code, tell_findings};
 use crate::failure::{Failure, Reason};
 use crate::figures::count;
 use crate::streams::answer;
@@ -141,8 +141,7 @@ pub(crate) fn run(arguments: &PlaneArguments) -> Result<ExitCode, Failure> {
         let pattern = by_pattern.map_or_else(String::new, |line| line + "\n");
         answer(format!("{}{pattern}\nwritten: {}\n", text(&outcome, &options), file.display()).as_bytes())?;
     }
-    let failed = outcome.findings.iter().any(|finding| finding.severity == Severity::Fail);
-    Ok(if failed { ExitCode::from(1) } else { ExitCode::SUCCESS })
+    Ok(exit_code(verdict(&outcome.findings)))
 }
 
 /// Returns the touches of a table, and whether they have heights.

@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use boresight::{
-    Finding, ObjectSeen, PlacedObject, RobotTable, Severity, place_object, read_plane, read_robot_job,
+    Finding, ObjectSeen, PlacedObject, RobotTable, place_object, read_plane, read_robot_job, verdict,
 };
 use clap::Args;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::locate::is_job;
-use crate::calibrate::tell_findings;
+use crate::calibrate::{exit_code, tell_findings};
 use crate::failure::{Failure, Reason};
 use crate::figures::with_sigma;
 use crate::streams::answer;
@@ -111,8 +111,7 @@ pub(crate) fn run(arguments: &PoseArguments) -> Result<ExitCode, Failure> {
     } else {
         answer(text(&placed, document.plane.model.name()).as_bytes())?;
     }
-    let failed = findings.iter().any(|finding| finding.severity == Severity::Fail);
-    Ok(ExitCode::from(u8::from(failed)))
+    Ok(exit_code(verdict(&findings)))
 }
 
 fn read_objects(path: &Path, sigma_phi: f64, height_m: Option<f64>) -> Result<Vec<Asked>, Failure> {

@@ -4,11 +4,11 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use boresight::{
-    Finding, JointChain, Mounting, OutputFile, Pose, PoseFigures, PoseHandEye, RobotRows, SightsJob, Verdict,
+    Finding, JointChain, Mounting, OutputFile, Pose, PoseFigures, PoseHandEye, RobotRows, SightsJob,
     hand_eye_of_poses, joint_chain, joints_to_json, pose_hand_eye_to_json, verdict, write_files,
 };
 
-use crate::calibrate::tell_findings;
+use crate::calibrate::{exit_code, tell_findings};
 use crate::failure::{Failure, Reason};
 use crate::figures::with_sigma;
 use crate::streams::{answer, note};
@@ -50,10 +50,9 @@ fn end(output: &Path, findings: &[Finding], is_converged: bool) -> ExitCode {
     tell_findings(findings);
     let verdict = verdict(findings);
     note(&format!("{}; written to {}", summary::verdict_line(verdict, findings), output.display()));
-    match (is_converged, verdict) {
-        (false, _) => ExitCode::from(Reason::Solve.code()),
-        (true, Verdict::Fail) => ExitCode::from(1),
-        (true, Verdict::Good | Verdict::Caution) => ExitCode::SUCCESS,
+    match is_converged {
+        false => ExitCode::from(Reason::Solve.code()),
+        true => exit_code(verdict),
     }
 }
 
