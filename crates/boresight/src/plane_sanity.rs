@@ -214,47 +214,39 @@ pub(crate) fn of_height(
     shift_per_height: Option<f64>,
     sigma_m: f64,
 ) -> Vec<Finding> {
-    let finding = |code: &str, message: String, measured: f64, limit: f64, fix: &str| Finding {
-        code: code.to_owned(),
-        severity: Severity::Caution,
-        place: "object".to_owned(),
-        message,
-        measured: Some(measured),
-        limit: Some(limit),
-        fix: fix.to_owned(),
+    let caution = |code: &str, message: String, measured: [f64; 2], fix: &str| {
+        vec![finding(code, Severity::Caution, "object", message, measured, fix)]
     };
     match (height_m, shift_per_height) {
-        (None, Some(shift)) => vec![finding(
+        (None, Some(shift)) => caution(
             "height-unknown",
             format!(
                 "the points are taken to lie in the plane; each mm above it would move them by {shift:.3} mm"
             ),
-            shift,
-            0.0,
+            [shift, 0.0],
             "state the height of the points above the plane",
-        )],
-        (Some(height), None) if height != 0.0 => vec![finding(
+        ),
+        (Some(height), None) if height != 0.0 => caution(
             "height-ignored",
             format!(
-                "the points are {:.2} mm above the plane, which moves them sideways by an amount that is not known without the camera's place; they are only moved up",
+                "the points are {:.2} mm above the plane, which moves them sideways by an amount that is not known \
+                 without the camera's place; they are only moved up",
                 1e3 * height
             ),
-            height.abs(),
-            0.0,
+            [height.abs(), 0.0],
             "calibrate the plane with a calibrated camera",
-        )],
+        ),
         (Some(height), Some(shift)) if height_sigma_m == 0.0 && shift * height.abs() > 100.0 * sigma_m => {
-            vec![finding(
+            caution(
                 "height-matters",
                 format!(
                     "the height of {:.2} mm moves the object by {:.3} mm; an error of it counts {shift:.3} times",
                     1e3 * height,
                     1e3 * shift * height.abs()
                 ),
-                shift * height.abs(),
-                100.0 * sigma_m,
+                [shift * height.abs(), 100.0 * sigma_m],
                 "state the sigma of the height as well",
-            )]
+            )
         }
         _ => Vec::new(),
     }
