@@ -98,6 +98,7 @@ fn parse_noise(text: &str) -> Result<NoiseChoice, String> {
 /// Calibrates cameras and robot, writes, and prints the summary or the document.
 pub(crate) fn run(arguments: &HandEyeArguments) -> Result<ExitCode, Failure> {
     let begin = Instant::now();
+    inputs::refuse_file(&arguments.output)?;
     let given: Vec<&PathBuf> = arguments.input.config.iter().chain(&arguments.input.inputs).collect();
     if let [only] = given[..]
         && only.exists()
