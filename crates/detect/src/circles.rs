@@ -23,6 +23,8 @@ const SEEDS: usize = 12;
 /// How the steps of a lattice may have to be added to each other, the plain way first: a lattice that began at the rim may
 /// have a step of the grid and the sum of two, which make up the same lattice.
 const SHEARS: [[i32; 2]; 5] = [[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]];
+/// A dot is seen if its middle is at least this share of a step away from the border of the image: no dot is wider.
+const ROOM: f64 = 0.5;
 /// The scatter of a measured dot that noise does not explain, in pixels.
 const MODEL_SIGMA_PX: f64 = 0.01;
 
@@ -77,10 +79,9 @@ fn label(
         (along[0] - first[0]) / distance(first, along).max(1e-9)
     };
     let Some(dots) = possible.into_iter().max_by(|a, b| upright(a).total_cmp(&upright(b))) else {
-        return Detection::missed(misfit(&largest, [columns, rows], layout));
+        return Detection::missed(misfit(&largest, blobs, [columns, rows], layout, image_size));
     };
-    let pixels: BTreeMap<[i32; 2], [f64; 2]> =
-        dots.iter().map(|(at, blob)| (*at, blobs[*blob].pixel)).collect();
+    let pixels = pixels(&dots, blobs);
     // The radius of a dot in units, from its area and the local scale.
     let maps: Vec<Option<LocalMap>> = places.iter().map(|at| map_near(&pixels, *at)).collect();
     let mut squares: Vec<f64> = places
@@ -110,6 +111,10 @@ fn label(
         .collect();
     let is_whole = ends_inside(&pixels, image_size);
     Detection { observations, missed: None, pattern: None, is_whole }
+}
+
+fn pixels(dots: &BTreeMap<[i32; 2], usize>, blobs: &[Blob]) -> BTreeMap<[i32; 2], [f64; 2]> {
+    dots.iter().map(|(at, blob)| (*at, blobs[*blob].pixel)).collect()
 }
 
 /// Returns the ways in which a lattice is the dots at these places, up to turns of the drawing.
@@ -147,25 +152,35 @@ fn arrangements(
     possible
 }
 
-/// Tells whether a further row of dots would be in the image on each side, so that the grid is seen to end there.
+/// Tells whether a further row of dots would be seen on each side, so that the grid is seen to end there.
 fn ends_inside(pixels: &BTreeMap<[i32; 2], [f64; 2]>, image_size: [u32; 2]) -> bool {
-    let is_in = |pixel: [f64; 2]| (0..2).all(|i| (0.0..f64::from(image_size[i])).contains(&pixel[i]));
     [[1, 0], [0, 1], [-1, 0], [0, -1]].iter().all(|out| {
-        // The outermost dots along this direction, and where the next ones would be. Dots of one line are two apart where
-        // every other row is shifted.
+        // The outermost dots along this direction, and whether the next ones would be seen. Dots of one line are two apart
+        // where every other row is shifted.
         let next = pixels.iter().filter_map(|(at, here)| {
             let inwards = |n: i32| pixels.get(&[at[0] - n * out[0], at[1] - n * out[1]]);
             let is_last = (1..=2).all(|n| !pixels.contains_key(&[at[0] + n * out[0], at[1] + n * out[1]]));
             let inner = inwards(1).or(inwards(2)).filter(|_| is_last)?;
-            Some([0, 1].map(|i| 2.0 * here[i] - inner[i]))
+            let step = [0, 1].map(|i| here[i] - inner[i]);
+            let room_px = ROOM * step[0].hypot(step[1]);
+            Some((0..2).all(|i| {
+                let next = here[i] + step[i];
+                room_px <= next && next <= f64::from(image_size[i]) - 1.0 - room_px
+            }))
         });
-        let inside: Vec<bool> = next.map(is_in).collect();
+        let inside: Vec<bool> = next.collect();
         !inside.is_empty() && 4 * inside.iter().filter(|is_in| **is_in).count() >= 3 * inside.len()
     })
 }
 
 /// Says why a lattice is not the grid.
-fn misfit(lattice: &BTreeMap<[i32; 2], usize>, [columns, rows]: [u32; 2], layout: CircleLayout) -> Missed {
+fn misfit(
+    lattice: &BTreeMap<[i32; 2], usize>,
+    blobs: &[Blob],
+    [columns, rows]: [u32; 2],
+    layout: CircleLayout,
+    image_size: [u32; 2],
+) -> Missed {
     let n = lattice.len();
     // Fewer dots than these would look like a grid by chance.
     const LEAST: u32 = 9;
@@ -186,7 +201,9 @@ fn misfit(lattice: &BTreeMap<[i32; 2], usize>, [columns, rows]: [u32; 2], layout
             CircleLayout::Asymmetric => [(2 * column + row % 2) as i32, row as i32],
         };
         let places = (0..*rows).flat_map(|row| (0..*columns).map(move |column| at(column, row)));
-        !arrangements(lattice, &places.collect(), *layout).is_empty()
+        // A grid that is cut by the border of the image is one of fewer dots, too.
+        let dots = arrangements(lattice, &places.collect(), *layout);
+        dots.first().is_some_and(|dots| ends_inside(&pixels(dots, blobs), image_size))
     };
     match shapes.into_iter().filter(|_| count >= LEAST).find(is_shape) {
         Some((columns, rows, layout)) => Missed::OtherDots { columns, rows, layout },
