@@ -11,7 +11,7 @@ use boresight_data::{Geometry, GrayImage, Observation, PointId, Target};
 use crate::detection::{Detection, Missed};
 use crate::grid::Grid;
 use crate::lattice::{ASIDE, Corner, Lattice, find_lattices};
-use crate::placement::{Placed, Placement, Unplaced, place};
+use crate::placement::{Placed, Placement, place};
 use crate::plane::Plane;
 use crate::saddles::find_saddles;
 
@@ -105,7 +105,6 @@ fn label(grid: &Grid, smooth: &Plane, scale: f64, board: [i32; 2]) -> Detection 
     if grid.corners.len() < FEWEST.min(count(board)) {
         return Detection::missed(Missed::NoBoard);
     }
-    let found = grid.corners.len();
     match place(grid, board, smooth, scale) {
         Ok(Placed { placement, is_whole }) => Detection {
             observations: observations(grid, placement, board[0]),
@@ -113,25 +112,8 @@ fn label(grid: &Grid, smooth: &Plane, scale: f64, board: [i32; 2]) -> Detection 
             pattern: None,
             is_whole,
         },
-        Err(Unplaced::OtherSize(extent)) => {
-            let [columns, rows] = longer_first(extent);
-            Detection::missed(Missed::OtherSize { columns, rows })
-        }
-        Err(Unplaced::TooLarge(extent)) => {
-            let [columns, rows] = longer_first(extent);
-            Detection::missed(Missed::TooLarge { columns, rows })
-        }
-        Err(Unplaced::Short(extent)) => {
-            let [columns, rows] = longer_first(extent);
-            Detection::missed(Missed::Short { columns, rows })
-        }
-        Err(Unplaced::Ambiguous) => Detection::missed(Missed::Ambiguous { corners: found }),
-        Err(Unplaced::Contradiction) => Detection::missed(Missed::Contradiction { corners: found }),
+        Err(missed) => Detection::missed(missed),
     }
-}
-
-fn longer_first([a, b]: [i32; 2]) -> [u32; 2] {
-    [a.max(b) as u32, a.min(b) as u32]
 }
 
 fn observations(grid: &Grid, placement: Placement, columns: i32) -> Vec<Observation> {

@@ -5,6 +5,7 @@
 //! and where a turn of the board changes its colours, the square below its first corner must be dark. What is left must
 //! be one placement, up to turns that the board itself does not tell.
 
+use crate::detection::Missed;
 use crate::grid::{Grid, SIDES};
 use crate::plane::Plane;
 
@@ -46,22 +47,7 @@ impl Placement {
     }
 }
 
-/// Why a grid has no labels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Unplaced {
-    /// The whole board is seen, and it has this many columns and rows, along the image's wider turn first.
-    OtherSize([i32; 2]),
-    /// It is larger than the board.
-    TooLarge([i32; 2]),
-    /// It has this many columns and rows, and where the board should have more, in the image, no corners are.
-    Short([i32; 2]),
-    /// Several placements fit what is seen.
-    Ambiguous,
-    /// No placement fits what is seen.
-    Contradiction,
-}
-
-/// Returns the placement of a grid on a board of this many columns and rows.
+/// Returns the placement of a grid on a board of this many columns and rows, or why it has none.
 ///
 /// What the board has more than the grid must be outside the image, or be seen to go on there: a smaller board is not
 /// a part of a larger one. `smooth` is the image at 1/`scale` of its size.
@@ -70,22 +56,24 @@ pub(crate) fn place(
     [columns, rows]: [i32; 2],
     smooth: &Plane,
     scale: f64,
-) -> Result<Placed, Unplaced> {
+) -> Result<Placed, Missed> {
     let [low, high] = grid.bounds();
     let extent = [high[0] - low[0] + 1, high[1] - low[1] + 1];
+    let [longer, shorter] = [extent[0].max(extent[1]) as u32, extent[0].min(extent[1]) as u32];
+    let corners = grid.corners.len();
     let sides = [0, 1, 2, 3].map(|side| beyond(grid, side, smooth, scale));
     let is_whole = sides.iter().all(|side| *side == Side::Ends);
     let fits = |board: [i32; 2]| extent[0] <= board[0] && extent[1] <= board[1];
     let matches = extent == [columns, rows] || extent == [rows, columns];
     if is_whole && !matches {
-        return Err(Unplaced::OtherSize(extent));
+        return Err(Missed::OtherSize { columns: longer, rows: shorter });
     }
     if !fits([columns, rows]) && !fits([rows, columns]) {
-        return Err(Unplaced::TooLarge(extent));
+        return Err(Missed::TooLarge { columns: longer, rows: shorter });
     }
     // Half a turn changes the colours of boards with an odd sum; a quarter turn those of squares with odd sides.
     let colours_tell = (columns + rows) % 2 != 0 || (columns == rows && columns % 2 == 1);
-    let Some(&probe) = grid.corners.keys().next() else { return Err(Unplaced::Contradiction) };
+    let Some(&probe) = grid.corners.keys().next() else { return Err(Missed::Contradiction { corners }) };
     let mut possible: Vec<Placement> = Vec::new();
     let (mut is_loose, mut is_short) = (false, false);
     for turn in 0..4 {
@@ -134,13 +122,16 @@ pub(crate) fn place(
         du / du.hypot(dv).max(1e-9)
     };
     let Some(best) = possible.iter().copied().max_by(|a, b| upright(a).total_cmp(&upright(b))) else {
-        return Err(if is_short { Unplaced::Short(extent) } else { Unplaced::Contradiction });
+        return Err(match is_short {
+            true => Missed::Short { columns: longer, rows: shorter },
+            false => Missed::Contradiction { corners },
+        });
     };
     let is_same =
         |other: &Placement| (0..4).any(|turns| turned(best, turns, [columns, rows]) == Some(*other));
     match !is_loose && possible.iter().all(is_same) {
         true => Ok(Placed { placement: best, is_whole }),
-        false => Err(Unplaced::Ambiguous),
+        false => Err(Missed::Ambiguous { corners }),
     }
 }
 
