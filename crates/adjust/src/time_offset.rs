@@ -31,10 +31,11 @@ const LONGEST_GAP_S: f64 = 0.6;
 pub const LEAST_FRAMES: usize = 6;
 /// How often the motion is taken anew.
 const MAX_ROUNDS: usize = 6;
-/// Times stay when they change by less than this share of their sigma, or by less than this many seconds over an image.
+/// Times stay when they change by less than this share of their sigma.
 const SETTLED_SIGMAS: f64 = 0.05;
 /// What is only looked at stays when it changes by less than this many of its sigmas.
 const LOOKED_AT_SIGMAS: f64 = 2.0;
+/// Times stay, too, when they change by less than this many seconds over an image.
 const SETTLED_S: f64 = 1e-7;
 /// Where no time is unknown, the motion stays when the RMS changes by less than this share.
 const SETTLED_RMS: f64 = 1e-5;
