@@ -22,7 +22,9 @@ const LEAST_BLUR_PX: f64 = 0.30;
 const MOST_ACROSS: f64 = 29.0;
 /// Pixels that are looked at lie on a lattice: one in so many, and from one row to the next by how many further. Each row and
 /// each column has its share, so that sharp edges are met at all phases, and they are as far from each other as can be.
-const LATTICES: [[usize; 2]; 7] = [[1, 0], [2, 1], [3, 1], [5, 2], [8, 3], [10, 3], [13, 5]];
+const LATTICES: [[usize; 2]; 8] = [[1, 0], [2, 1], [3, 1], [5, 2], [8, 3], [10, 3], [13, 5], [21, 8]];
+/// The lattice of the widest windows: with it, all of a square of eight times [`MOST_ACROSS`] has room.
+const WIDEST: [usize; 2] = [34, 13];
 /// The least difference between the bright and the dark sectors of a window, as a share of the spread of its grey values. A
 /// sharp corner in its middle has two, one that is off by a third of the window both ways a fifth of that.
 const SECTOR_SHARE: f64 = 0.1;
@@ -236,7 +238,7 @@ impl<'a> Window<'a> {
         });
         let area = 4.0 * reach[0] * reach[1] * determinant.abs();
         let is_sparse = |[one_in, _]: &&[usize; 2]| area <= (one_in * start.enough.pixels) as f64;
-        let [one_in, further] = *LATTICES.iter().find(is_sparse).unwrap_or(&[21, 8]);
+        let [one_in, further] = *LATTICES.iter().find(is_sparse).unwrap_or(&WIDEST);
         // Blur brings what is in the hole nearer; a pixel beside the edge is always looked at.
         let hole_from = lengths.map(|length| match start.hole {
             Some(hole) => (hole.from - 2.5 * start.blur_px / length).max(1.0 / length),
@@ -388,5 +390,26 @@ mod tests {
         assert!(error(&straight) > 0.03, "{}", error(&straight));
         assert!(fit(&image, &Start { is_bright: false, ..start }).is_none_or(|fit| fit.contrast < 0.0));
         assert_eq!(fit(&image, &Start { steps_px: [[20.0, 0.0], [20.0, 0.1]], ..start }), None);
+    }
+
+    #[test]
+    fn the_widest_window_is_looked_at_down_to_its_last_row() {
+        let image = GrayImage::new([300, 300], GrayPixels::Eight(vec![9; 90_000])).unwrap();
+        let start = Start {
+            pixel: [150.0; 2],
+            steps_px: [[250.0, 0.0], [0.0, 250.0]],
+            bends_px: [[0.0; 2]; 2],
+            is_bright: true,
+            blur_px: 7.0,
+            reach: 0.55,
+            hole: None,
+            before: None,
+            enough: FINE,
+        };
+        let mut pixels = Pixels::none();
+        assert!(Window::around(&image, &start, &mut pixels).is_none());
+        // Half of 29 pixels, eight times over.
+        let last = pixels.v[..pixels.count].iter().copied().fold(f32::MIN, f32::max);
+        assert_eq!(last, 116.0);
     }
 }
