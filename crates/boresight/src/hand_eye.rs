@@ -261,7 +261,8 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
         working_points::working_points(&dataset, &calibration, mounting, &jackknife, is_noise_used);
     let robot_noise = match options.noise {
         NoiseChoice::Known(noise) => Some(noise),
-        _ => noise.as_ref().filter(|_| is_noise_used).map(|noise| noise.noise),
+        // The robot is off by it, whether or not the answer is the better for it.
+        _ => noise.as_ref().map(|noise| noise.noise),
     };
     let touched = robot
         .touches
