@@ -430,25 +430,46 @@ fn recorded_robots_are_foretold_better_than_by_closed_forms() {
     }
 }
 
-#[test]
-fn touches_of_a_job_tell_the_tip() {
-    let recipe = RobotRecipe { rotation_rad: 1e-4, translation_m: 1e-4, ..RobotRecipe::on_flange() };
+/// Returns the job of a robot with a noise of 0.1 mm that touches points of the target with a tip, or a tip in the cell
+/// with points of the target.
+fn touching(recipe: RobotRecipe, mounting: Mounting, tip: Vector3<f64>) -> Job {
+    let recipe = RobotRecipe { rotation_rad: 1e-4, translation_m: 1e-4, ..recipe };
     let mut made = simulate(&Recipe { frames: 8, ..Recipe::mono() }, 4);
     add_robot(&mut made, &recipe, 9);
-    let mut job = job_of(&made, Some(Mounting::RigOnFlange));
-    let tip = Vector3::new(0.02, -0.01, 0.15);
-    let (board, shape_m) = {
-        let target = made.dataset.targets.iter().next().unwrap();
-        (target, &made.truth.targets.iter().next().unwrap().shape_m)
-    };
+    let mut job = job_of(&made, Some(mounting));
+    let board = made.dataset.targets.iter().next().unwrap();
+    let shape_m = &made.truth.targets.iter().next().unwrap().shape_m;
     let points: Vec<_> = (0..6).map(|i| boresight_data::PointId::from_index(7 * i)).collect();
     let base_from_flange = points.iter().enumerate().map(|(i, &point)| {
         let turn = Pose::from_rodrigues(Vector3::new(2.0, 0.4 * i as f64, 0.5), Vector3::zeros());
-        Pose::new(turn.rotation, recipe.other_from_target * board.point(point, shape_m) - turn * tip)
+        let point_in_other = recipe.other_from_target * board.point(point, shape_m);
+        let place = match mounting {
+            Mounting::RigOnFlange => point_in_other - turn * tip,
+            Mounting::RigInBase => tip - turn * point_in_other,
+        };
+        Pose::new(turn.rotation, place)
     });
-    let touches =
-        TouchInput { base_from_flange: base_from_flange.collect(), points, sigma_m: 2e-5, tip_m: None };
-    job.robot.as_mut().unwrap().touches = Some(touches);
+    let base_from_flange = base_from_flange.collect();
+    job.robot.as_mut().unwrap().touches =
+        Some(TouchInput { base_from_flange, points, sigma_m: 2e-5, tip_m: None });
+    job
+}
+
+#[test]
+fn touches_of_a_pointer_in_the_cell_tell_where_it_is() {
+    let pointer = Vector3::new(0.5, 0.1, 0.3);
+    let job = touching(RobotRecipe::fixed(), Mounting::RigInBase, pointer);
+    let options = HandEyeOptions { noise: NoiseChoice::None, ..HandEyeOptions::default() };
+    let touched = hand_eye(&job, &options, &Watch::default()).unwrap().touched.unwrap();
+    let error = (Vector3::from(touched.tip_m) - pointer).norm();
+    assert!(error < 1e-3 && touched.touches == 6, "{error} {touched:?}");
+    assert!(touched.tip_sigma_m.is_some() && touched.rms_m < 1e-3, "{touched:?}");
+}
+
+#[test]
+fn touches_of_a_job_tell_the_tip() {
+    let tip = Vector3::new(0.02, -0.01, 0.15);
+    let mut job = touching(RobotRecipe::on_flange(), Mounting::RigOnFlange, tip);
     let options = HandEyeOptions { noise: NoiseChoice::None, ..HandEyeOptions::default() };
     let found = hand_eye(&job, &options, &Watch::default()).unwrap();
     let calibration = &found.outcome.calibration;

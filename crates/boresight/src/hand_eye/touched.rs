@@ -2,6 +2,7 @@
 
 use boresight_adjust::RobotNoise;
 use boresight_data::{Calibration, Dataset, Finding, Id as _, Mounting, Severity, TargetId};
+use boresight_geometry::{Pose, Vector3};
 use boresight_io::TouchInput;
 use serde::Serialize;
 
@@ -26,7 +27,7 @@ pub struct TouchedPoints {
     pub expected_m: f64,
 }
 
-/// Returns what touches say of a calibration; `None` if it has no tip.
+/// Returns what touches say of a calibration; `None` if it has no robot.
 pub(super) fn touched_points(
     touches: &TouchInput,
     dataset: &Dataset,
@@ -34,18 +35,27 @@ pub(super) fn touched_points(
     noise: Option<RobotNoise>,
 ) -> Option<TouchedPoints> {
     let robot = calibration.scene.robot.as_ref()?;
-    let (tip, mounting) = (robot.tip_in_flange?, robot.mounting()?);
+    let mounting = robot.mounting()?;
     let target = TargetId::from_index(0);
     let (board, belief) = (&dataset.targets[target], &calibration.scene.targets[target]);
-    let mut square = 0.0;
-    let mut reach_m: f64 = 0.0;
-    for (&point, said) in touches.points.iter().zip(&touches.base_from_flange) {
+    let pairs = touches.points.iter().zip(&touches.base_from_flange).map(|(&point, said)| {
         let base_from_flange = robot.corrected(said);
         let other_from_carrier = match mounting {
             Mounting::RigOnFlange => base_from_flange,
             Mounting::RigInBase => base_from_flange.inverse(),
         };
-        let point_in_other = robot.other_from_target() * board.point(point, &belief.shape_m);
+        (other_from_carrier, robot.other_from_target() * board.point(point, &belief.shape_m))
+    });
+    let pairs: Vec<(Pose, Vector3<f64>)> = pairs.collect();
+    // A pointer in the cell is no part of the robot: unless given, it is where the touched points are in the mean.
+    let mean = || {
+        let sum: Vector3<f64> = pairs.iter().map(|(pose, point)| pose.inverse() * *point).sum();
+        sum / pairs.len() as f64
+    };
+    let tip = robot.tip_in_flange.or(touches.tip_m.map(Vector3::from)).unwrap_or_else(mean);
+    let mut square = 0.0;
+    let mut reach_m: f64 = 0.0;
+    for &(other_from_carrier, point_in_other) in &pairs {
         square += (other_from_carrier * tip - point_in_other).norm_squared();
         // The flange's turns act over the distance between it and what is touched.
         reach_m = reach_m.max(match mounting {
