@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use boresight::{
     Calibration, Camera, CameraFit, CircleLayout, Dataset, Finding, Geometry, HeldOut, Id as _,
-    RejectionReason, RigCamera, Severity, Shape, Target, Verdict, sigma_of,
+    RejectionReason, RigCamera, Severity, Shape, Target, Verdict, believed_share, sigma_of,
 };
 
 use crate::figures::{count, significant, to_sigma, with_sigma};
@@ -174,16 +174,9 @@ fn lenses(calibration: &Calibration) -> Vec<String> {
 /// Says how many knots of a splined lens are known. Their sigmas are not those of pixels: all of them turn together.
 fn knots(calibration: &Calibration, name: &str, camera: &Camera) -> Option<String> {
     let grid = camera.model.local_support()?;
-    let uncertainty = &calibration.uncertainty;
-    let params = camera.model.param_names().into_iter().skip(4).map(|param| format!("{name}.{param}"));
-    let places = params.map(|param| uncertainty.names.iter().position(|known| *known == param));
-    // The share of what is known of a number that was believed before.
-    let believed = |place: usize| {
-        let variance = uncertainty.covariance[place * (uncertainty.names.len() + 1)];
-        Some(uncertainty.regularization_information.get(place)? * variance / uncertainty.noise_factor.powi(2))
-    };
-    let believed: Option<Vec<f64>> = places.map(|place| believed(place?)).collect();
-    let told = believed?.into_iter().filter(|share| *share < 0.5).count();
+    let params = camera.model.param_names().into_iter().skip(4);
+    let shares = params.map(|param| believed_share(calibration, &format!("{name}.{param}")));
+    let told = shares.collect::<Option<Vec<f64>>>()?.into_iter().filter(|share| *share < 0.5).count();
     Some(format!(
         "spline  {name}: {} x {} knots along x and y; corners tell {told} of their {} numbers, the others are believed alone;\n        \
          `boresight uncertainty` says how well it projects\n",
