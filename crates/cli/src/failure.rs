@@ -58,6 +58,12 @@ impl Failure {
         self
     }
 
+    /// Returns the failure with what it is of before its message.
+    pub(crate) fn of(mut self, what: &str) -> Self {
+        self.message = format!("{what}: {}", self.message);
+        self
+    }
+
     /// Tells it on stderr and returns its exit code.
     pub(crate) fn report(&self) -> ExitCode {
         note(&format!("error: {}", self.message));

@@ -34,7 +34,7 @@ pub(crate) fn run(arguments: &PlanarArguments) -> Result<ExitCode, Failure> {
             sensor_motion: row.sensor_motion,
         })
         .collect();
-    let outcome = planar(&motions)?;
+    let outcome = planar(&motions).map_err(|error| Failure::from(error).of(&file))?;
     let found = &outcome.robot;
     if arguments.json {
         answer(&planar_to_json(&outcome))?;

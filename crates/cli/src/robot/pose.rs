@@ -90,13 +90,11 @@ pub(crate) fn run(arguments: &PoseArguments) -> Result<ExitCode, Failure> {
     let mut placed = Vec::new();
     let mut findings: Vec<Finding> = Vec::new();
     for asked in read_objects(&objects, sigma_phi, height_m)? {
-        let found = place_object(&document.plane, &asked.seen, asked.height_m, height_sigma_m, sigma_px)?;
+        let object = format!("object {}", asked.name);
+        let found = place_object(&document.plane, &asked.seen, asked.height_m, height_sigma_m, sigma_px)
+            .map_err(|error| Failure::from(error).of(&object))?;
         findings.extend(
-            found
-                .findings
-                .iter()
-                .cloned()
-                .map(|finding| Finding { place: format!("object {}", asked.name), ..finding }),
+            found.findings.iter().cloned().map(|finding| Finding { place: object.clone(), ..finding }),
         );
         placed.push((asked.name, found));
     }
