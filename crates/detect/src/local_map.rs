@@ -2,8 +2,12 @@
 
 use boresight_geometry::nalgebra::{SMatrix, SVector};
 
-/// The unknowns: a homography, and the squares of x and y for u and for v.
+/// The unknowns: for u and for v the factors of 1, x, y and their squares, then the perspective that both share.
 const N: usize = 12;
+/// Which of them are h₁ to h₈.
+const HOMOGRAPHY: [usize; 8] = [0, 1, 2, 5, 6, 7, 10, 11];
+/// Which of them are of squares.
+const SQUARES: [usize; 4] = [3, 4, 8, 9];
 /// With so many places around, the bend of a lens can be told too.
 const BENT_FROM: i32 = 14;
 
@@ -22,8 +26,11 @@ impl LocalMap {
     ///
     /// `None` if there are fewer than three, or all in a row.
     pub fn fitted(near: impl Iterator<Item = ([f64; 2], [f64; 2])>) -> Option<Self> {
-        let mut normal = SMatrix::<f64, N, N>::zeros();
-        let mut gradient = SVector::<f64, N>::zeros();
+        // The blocks of the normal equations below the diagonal, and the gradient: of u and v what they share once.
+        let (mut own, mut perspective) = (SMatrix::<f64, 5, 5>::zeros(), SMatrix::<f64, 2, 2>::zeros());
+        let mut coupling = [SMatrix::<f64, 2, 5>::zeros(); 2];
+        let mut own_gradient = [SVector::<f64, 5>::zeros(); 2];
+        let mut perspective_gradient = SVector::<f64, 2>::zeros();
         let (mut n, mut sides) = (0, [false; 4]);
         let mut origin = None;
         let mut square_px = 0.0;
@@ -33,25 +40,35 @@ impl LocalMap {
             square_px += u * u + v * v;
             sides = [sides[0] || x > 0.0, sides[1] || y > 0.0, sides[2] || x < 0.0, sides[3] || y < 0.0];
             // u (1 + h₇ x + h₈ y) = h₁ + h₂ x + h₃ y + h₉ x² + h₁₀ y², and the same for v; near neighbours count more.
-            let weight = 1.0 / (x * x + y * y);
-            let (xx, yy) = (x * x, y * y);
-            for row in [
-                (SVector::from([1.0, x, y, 0.0, 0.0, 0.0, -u * x, -u * y, xx, yy, 0.0, 0.0]), u),
-                (SVector::from([0.0, 0.0, 0.0, 1.0, x, y, -v * x, -v * y, 0.0, 0.0, xx, yy]), v),
-            ] {
-                normal += row.0 * (row.0 * weight).transpose();
-                gradient += row.0 * (row.1 * weight);
+            let (powers, at) = (SVector::from([1.0, x, y, x * x, y * y]), SVector::from([x, y]));
+            let weighed = powers / (x * x + y * y);
+            own += weighed * powers.transpose();
+            for (axis, c) in [u, v].into_iter().enumerate() {
+                own_gradient[axis] += weighed * c;
+                coupling[axis] -= at * (weighed * c).transpose();
             }
+            let shared = at * ((u * u + v * v) / (x * x + y * y));
+            perspective += shared * at.transpose();
+            perspective_gradient -= shared;
             n += 1;
         }
         let origin = origin.filter(|_| n >= 3)?;
+        let mut normal = SMatrix::<f64, N, N>::zeros();
+        let mut gradient = SVector::<f64, N>::zeros();
+        for axis in 0..2 {
+            normal.fixed_view_mut::<5, 5>(5 * axis, 5 * axis).copy_from(&own);
+            normal.fixed_view_mut::<2, 5>(10, 5 * axis).copy_from(&coupling[axis]);
+            gradient.fixed_rows_mut::<5>(5 * axis).copy_from(&own_gradient[axis]);
+        }
+        normal.fixed_view_mut::<2, 2>(10, 10).copy_from(&perspective);
+        gradient.fixed_rows_mut::<2>(10).copy_from(&perspective_gradient);
         // With few neighbours an affine map has to do; perspective is held near zero. So are bends, but for many.
         let square_px = (square_px / f64::from(n)).max(1.0);
-        for k in 6..8 {
+        for k in 10..N {
             normal[(k, k)] += if n >= 7 { 1e-6 } else { 1e3 } * square_px;
         }
         if n < BENT_FROM {
-            for k in 8..N {
+            for k in SQUARES {
                 normal.row_mut(k).fill(0.0);
                 normal.column_mut(k).fill(0.0);
                 normal[(k, k)] = 1.0;
@@ -63,11 +80,11 @@ impl LocalMap {
         if spread <= 1e-6 * normal[(1, 1)] * normal[(2, 2)] {
             return None;
         }
-        for k in 8..N {
+        for k in SQUARES {
             normal[(k, k)] *= 1.0 + 1e-9;
         }
         let h = normal.cholesky()?.solve(&gradient);
-        Some(Self { h: std::array::from_fn(|i| h[i]), origin, is_surrounded: sides == [true; 4] })
+        Some(Self { h: HOMOGRAPHY.map(|k| h[k]), origin, is_surrounded: sides == [true; 4] })
     }
 
     /// Returns the pixel of the place.
