@@ -246,28 +246,33 @@ impl Labelled<'_> {
 
     /// Removes corners that are not where their neighbours put them, the worst first; `strictness` scales what is believed.
     fn prune(&mut self, strictness: f64) {
+        let mut misfits: BTreeMap<[i32; 2], Option<(f64, f64)>> =
+            self.corners.keys().map(|at| (*at, self.misfit(*at))).collect();
         // What a smooth lens does to neighbourhoods is alike all over a board.
-        let mut misfits: Vec<f64> =
-            self.corners.keys().filter_map(|at| self.misfit(*at)).map(|(misfit, _)| misfit).collect();
-        misfits.sort_by(f64::total_cmp);
-        let median = misfits.get(misfits.len() / 2).copied().unwrap_or(0.0);
+        let mut known: Vec<f64> = misfits.values().flatten().map(|(misfit, _)| *misfit).collect();
+        known.sort_by(f64::total_cmp);
+        let median = known.get(known.len() / 2).copied().unwrap_or(0.0);
         loop {
-            let worst = self
-                .corners
+            let worst = misfits
                 .iter()
-                .map(|(at, corner)| {
-                    let Some((misfit_px, believed_px)) = self.misfit(*at) else {
+                .map(|(at, misfit)| {
+                    let Some((misfit_px, believed_px)) = *misfit else {
                         return (f64::INFINITY, *at);
                     };
                     let alike_px = 0.3 + 8.0 * median;
-                    let limit_px = 4.0 * corner.sigma_px + believed_px.min(alike_px / strictness.powi(2));
+                    let sigma_px = self.corners[at].sigma_px;
+                    let limit_px = 4.0 * sigma_px + believed_px.min(alike_px / strictness.powi(2));
                     (strictness * misfit_px / limit_px, *at)
                 })
                 .max_by(|a, b| a.0.total_cmp(&b.0));
-            match worst {
-                Some((misfit, at)) if misfit > 1.0 => self.corners.remove(&at),
-                _ => return,
-            };
+            let Some((_, at)) = worst.filter(|(misfit, _)| *misfit > 1.0) else { return };
+            self.corners.remove(&at);
+            misfits.remove(&at);
+            for (other, stale) in &mut misfits {
+                if (0..2).all(|axis| (other[axis] - at[axis]).abs() <= self.drawing.near) {
+                    *stale = self.misfit(*other);
+                }
+            }
         }
     }
 
