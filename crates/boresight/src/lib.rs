@@ -68,10 +68,10 @@ pub use boresight_io::{
     RobotOverrides, RobotRows, RobotTable, RotationColumns, SeenImage, SeenRecorded, SightsJob, SizeSeen,
     StatedCamera, Survey, TimedPose, Topic, TouchDocument, TriedDocument, calibration_to_json,
     calibration_to_mcap, corners_to_csv, export, hash, is_pattern, load_images, load_job, load_recordings,
-    matrices_to_json, matrices_to_npy, matrices_to_text, overlay_to_png, parse_target, plane_to_json,
-    read_calibration, read_cameras, read_image, read_observations, read_planar_motions, read_plane,
-    read_robot_job, read_sights_job, refuse_other_size, survey_recordings, target_spec, write_atomically,
-    write_files,
+    lost_in, matrices_to_json, matrices_to_npy, matrices_to_text, overlay_to_png, parse_target,
+    plane_to_json, read_calibration, read_cameras, read_image, read_observations, read_planar_motions,
+    read_plane, read_robot_job, read_sights_job, refuse_other_size, survey_recordings, target_spec,
+    write_atomically, write_files,
 };
 pub use boresight_seed::planar_robot::{PLANAR_NAMES, PlanarError, PlanarMotion, PlanarRobot};
 pub use boresight_synthetic::{FirstSquare, NotDrawn, Paper, Print, Sheet, sheet};

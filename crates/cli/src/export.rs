@@ -2,11 +2,13 @@
 
 use std::process::ExitCode;
 
-use boresight::{OutputFile, calibration_to_mcap, export, read_calibration, read_observations, write_files};
+use boresight::{
+    OutputFile, calibration_to_mcap, export, lost_in, read_calibration, read_observations, write_files,
+};
 
 use crate::arguments::ExportArguments;
 use crate::failure::Failure;
-use crate::streams::answer;
+use crate::streams::{answer, note};
 
 /// The file beside a calibration that has its corners.
 const OBSERVATIONS: &str = "observations.parquet";
@@ -26,6 +28,7 @@ pub(crate) fn run(arguments: &ExportArguments) -> Result<ExitCode, Failure> {
         export(&calibration, &arguments.to)?
     };
     write_files(&arguments.output, &files)?;
+    lost_in(&calibration, &arguments.to).iter().for_each(|line| note(&format!("note: {line}")));
     let names: String =
         files.iter().map(|file| format!("{}\n", arguments.output.join(&file.name).display())).collect();
     answer(names.as_bytes())?;

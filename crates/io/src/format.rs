@@ -32,6 +32,8 @@ pub struct Format {
     pub(crate) export: Option<Export>,
     /// Tells whether it can say what a lens model says.
     pub(crate) carries: fn(&Model) -> bool,
+    /// Whether it says when the rows of an image were taken.
+    pub(crate) has_times: bool,
 }
 
 type ReadCameras = fn(&str, &[u8]) -> Result<Vec<NamedCamera>, Error>;
@@ -47,12 +49,13 @@ const NONE: Format = Format {
     read_corners: None,
     export: None,
     carries: |_| true,
+    has_times: false,
 };
 
 /// All formats.
 #[rustfmt::skip]
 pub const FORMATS: &[Format] = &[
-    Format { name: "json", about: "Boresight's own calibration.json, lossless", extensions: &["json"], recognizes: calibration_json::recognizes, read_cameras: Some(calibration_json::read_cameras), export: Some(calibration_json::export), ..NONE },
+    Format { name: "json", about: "Boresight's own calibration.json, lossless", extensions: &["json"], recognizes: calibration_json::recognizes, read_cameras: Some(calibration_json::read_cameras), export: Some(calibration_json::export), has_times: true, ..NONE },
     Format { name: "opencv", about: "OpenCV FileStorage YAML, as calibration.cpp and stereo_calib.cpp write it", extensions: &["yml", "yaml"], recognizes: opencv_yaml::recognizes, read_cameras: Some(opencv_yaml::read_cameras), export: Some(opencv_yaml::export), carries: opencv_yaml::carries, ..NONE },
     Format { name: "cameramodel", about: "mrcal .cameramodel, one file per camera", extensions: &["cameramodel"], recognizes: cameramodel::recognizes, read_cameras: Some(cameramodel::read_cameras), export: Some(cameramodel::export), carries: cameramodel::carries, ..NONE },
     Format { name: "kalibr", about: "Kalibr camchain.yaml: pinhole-radtan, pinhole-equi, omni-radtan, ds and eucm", extensions: &["yaml"], recognizes: kalibr::recognizes, read_cameras: Some(kalibr::read_cameras), export: Some(kalibr::export), carries: kalibr::carries, ..NONE },
@@ -143,6 +146,21 @@ pub fn export(calibration: &Calibration, format_name: &str) -> Result<Vec<Output
         }
     }
     export(calibration)
+}
+
+/// Returns what a calibration says of its cameras and a format of this name has no place for, one line for each camera.
+pub fn lost_in(calibration: &Calibration, format_name: &str) -> Vec<String> {
+    let has_times = FORMATS.iter().any(|format| format.name == format_name && format.has_times);
+    let timed = calibrated(calibration)
+        .filter(|(_, placed)| !has_times && (placed.time_offset_s != 0.0 || placed.line_delay_s != 0.0));
+    let line = |(name, placed): (&str, &RigCamera)| {
+        format!(
+            "{name}: format {format_name} has no place for its time offset of {:.3} ms and its line delay of {:.3} us; json has",
+            1e3 * placed.time_offset_s,
+            1e6 * placed.line_delay_s
+        )
+    };
+    timed.map(line).collect()
 }
 
 /// Writes files into a folder, each whole or not at all.

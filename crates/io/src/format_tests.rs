@@ -179,3 +179,25 @@ proptest! {
         let _ = assign("x", &images, &names.iter().map(patterned).collect::<Vec<_>>());
     }
 }
+
+#[test]
+fn times_that_a_format_has_no_place_for_are_told() {
+    let mut calibration = calibration(rig(&[("opencv4", lens(4)), ("opencv4", lens(4))]));
+    assert!(FORMATS.iter().all(|format| lost_in(&calibration, format.name).is_empty()));
+    let placed = calibration.scene.rig.cameras.iter_mut().flatten().last().unwrap();
+    (placed.time_offset_s, placed.line_delay_s) = (0.0123, -4.5e-6);
+    let name = calibration.cameras.iter().last().unwrap().name.clone();
+    for format in FORMATS.iter().filter(|format| format.export.is_some()) {
+        let lost = lost_in(&calibration, format.name);
+        if format.name == "json" {
+            assert!(lost.is_empty(), "{lost:?}");
+            continue;
+        }
+        let [line] = &lost[..] else { panic!("{}: {lost:?}", format.name) };
+        let words = format!("{name}: format {}", format.name);
+        assert!(
+            line.starts_with(&words) && line.contains("12.300 ms") && line.contains("-4.500 us"),
+            "{line}"
+        );
+    }
+}

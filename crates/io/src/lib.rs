@@ -62,7 +62,7 @@ pub use detection_cache::DetectionCache;
 pub use error::{Error, Kind, Place};
 pub use format::{
     FORMATS, Format, NamedCamera, NamedCovariance, OutputFile, cameras_from_bytes, closest_format, export,
-    read_cameras, write_files,
+    lost_in, read_cameras, write_files,
 };
 pub use foxglove_mcap::calibration_to_mcap;
 pub use h_matrix::{
