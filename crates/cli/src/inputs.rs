@@ -138,7 +138,7 @@ pub(crate) fn paths(arguments: &InputArguments) -> Result<Vec<PathBuf>, Failure>
 
 /// Returns what the arguments say in place of a job file.
 pub(crate) fn overrides(arguments: &InputArguments) -> JobOverrides {
-    let of_all = arguments.image_size.iter().rev().find(|size| size.camera.is_none()).map(|size| size.size);
+    let of_all = arguments.image_size.iter().find(|size| size.camera.is_none()).map(|size| size.size);
     let camera = |camera: &CameraImages| (camera.name.clone(), camera.pattern.clone());
     JobOverrides {
         target: arguments.target.clone(),

@@ -103,7 +103,7 @@ pub(crate) fn read_file_storage(file: &str, bytes: &[u8]) -> Result<Node, Error>
     let malformed = |line: usize, found: String| Error::Malformed {
         place: Place::line(file, line),
         found,
-        need: "an OpenCV YAML file is a map of names to values",
+        need: "a file of this kind is YAML: a map of names to values",
     };
     // The nodes that are open, each map with the key whose value comes next.
     let mut open: Vec<(Node, Option<String>)> = Vec::new();

@@ -35,9 +35,10 @@ pub enum SizeSeen {
 pub fn refuse_other_size(target: &Target, images: &mut [&mut SeenImage]) {
     let Some((size, n)) = Tally::of(images.iter().map(|image| image.size)).refuted_by(target) else { return };
     let (size, declared) = (describe(&resized(target, size)), describe(target));
+    let others = if n == 1 { "another image shows".to_owned() } else { format!("{n} other images show") };
     for image in images.iter_mut().filter(|image| !image.observations.is_empty()) {
         image.observations.clear();
-        image.missed = Some(format!("{n} other images show {size} in place of {declared}"));
+        image.missed = Some(format!("{others} {size} in place of {declared}"));
     }
 }
 

@@ -7,9 +7,9 @@ use super::case::Case;
 use super::example::Example;
 use super::{Diagnostic, Found};
 
-/// Residuals that scatter by more than this many stated sigmas have another cause than what the image tells.
+/// Residuals that scatter by more than this many of the sigmas that are told have another cause than what the image tells.
 const TIMES: f64 = 2.0;
-/// The share of the corners, those with the smallest sigmas, whose weight is told.
+/// One in so many corners is among those with the smallest sigmas, whose weight is told.
 const HEAVIEST: usize = 10;
 
 /// Sigmas of corners, as images tell them, that are too small for the residuals.
