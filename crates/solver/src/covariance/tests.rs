@@ -1,5 +1,6 @@
 //! Dense and sparse: the same steps, the same optimum, the same covariance, the same refusals.
 
+use boresight_geometry::nalgebra::{DMatrix, DVector};
 use boresight_geometry::{Pose, Vector3, Vector6};
 
 use super::*;
@@ -76,6 +77,27 @@ impl Term for Tie {
             }
         }
         Some(here.iter().map(|r| r * r).sum())
+    }
+}
+
+/// Rows that are the same at all values, with residuals of zero.
+struct Rows {
+    blocks: [BlockId; 2],
+    jacobian: DMatrix<f64>,
+}
+
+impl Term for Rows {
+    fn blocks(&self) -> &[BlockId] {
+        &self.blocks
+    }
+
+    fn row_count(&self) -> usize {
+        self.jacobian.nrows()
+    }
+
+    fn linearize(&self, _: Values<'_>, gram: &mut GramMut<'_>, _: &mut Scratch) -> Option<f64> {
+        gram.clear();
+        Some(gram.add_rows(&self.jacobian, &DVector::zeros(self.row_count())))
     }
 }
 
@@ -268,6 +290,35 @@ fn both_ways_refuse_what_is_singular() {
     };
     for rule in [DENSE, SPARSE] {
         assert!(matches!(refusal(rule), Err(Error::Singular { .. })), "{rule:?}");
+    }
+}
+
+#[test]
+fn what_elimination_leaves_is_judged_by_what_was_there() {
+    // Two numbers of which a pose takes all but a share, and that of their sum is 4e-4 of that of their difference: of a
+    // share of 1e-12, that is four last bits of what was there.
+    for (share, is_lost) in [(1e-6, false), (1e-12, true)] {
+        let mut jacobian = DMatrix::<f64>::zeros(8, 8);
+        (0..6).for_each(|k| jacobian[(k, k)] = 1.0);
+        (jacobian[(0, 6)], jacobian[(1, 7)]) = (1.0, 1.0);
+        let (sum, difference) = (f64::sqrt(4e-4 * share), f64::sqrt(share));
+        (jacobian[(6, 0)], jacobian[(6, 1)]) = (sum, sum);
+        (jacobian[(7, 0)], jacobian[(7, 1)]) = (difference, -difference);
+        let mut parameters = Parameters::default();
+        let pose = parameters.add_pose(&Pose::identity(), Elimination::First);
+        let blocks = [pose, parameters.add_vector(&[0.0; 2])];
+        let rows = Rows { blocks, jacobian };
+        let problem = Problem::new(&parameters, vec![&rows as &dyn Term]).unwrap();
+        for rule in [DENSE, SPARSE] {
+            let structure = Structure::by_rule(&problem, &problem.parameters.values, rule);
+            match covariance_of(&problem, structure, &problem.parameters.values, &SolveOptions::default()) {
+                Ok(_) => assert!(!is_lost, "{rule:?}"),
+                Err(Error::Singular { limit, .. }) => {
+                    assert!(is_lost && limit == LEAST_BEFORE_ELIMINATION, "{rule:?}: {limit:e}");
+                }
+                Err(error) => panic!("{rule:?}: {error}"),
+            }
+        }
     }
 }
 
