@@ -2,6 +2,8 @@
 
 use boresight_data::{GrayImage, GrayPixels};
 
+use crate::statistics::median;
+
 /// The fewest pixels of a blob.
 const FEWEST_PX: usize = 12;
 /// The largest blob, as a share of the image.
@@ -144,7 +146,7 @@ fn measure(region: &[usize], grey: &[f64], width: usize, height: usize) -> Optio
         around.iter().filter(|(_, at, _)| (from..=to).contains(at)).map(|(_, _, grey)| *grey).collect()
     };
     let (dark, bright) = (of(0.0, inner), of(outer, far));
-    let (black, white) = (median(dark)?, median(bright.clone())?);
+    let (black, white) = (median(dark)?, median(bright.iter().copied())?);
     let contrast = white - black;
     if contrast <= 0.0 {
         return None;
@@ -165,11 +167,6 @@ fn measure(region: &[usize], grey: &[f64], width: usize, height: usize) -> Optio
     let sigma_px = noise / contrast * square.sqrt() / sum;
     let is_sane = sum > 0.0 && pixel.iter().chain([&sigma_px]).all(|value| value.is_finite());
     is_sane.then_some(Blob { pixel, area_px: sum, sigma_px })
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]

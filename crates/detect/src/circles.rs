@@ -13,6 +13,7 @@ use crate::blobs::{Blob, find_blobs};
 use crate::detection::{Detection, Missed};
 use crate::lattice::distance;
 use crate::local_map::LocalMap;
+use crate::statistics::median;
 
 /// Shares of the image's shorter side over which the grey values around a place are averaged, to tell dark from bright.
 const WINDOW_SHARES: [f64; 4] = [0.05, 0.12, 0.025, 0.3];
@@ -84,16 +85,11 @@ fn label(
     let pixels = pixels(&dots, blobs);
     // The radius of a dot in units, from its area and the local scale.
     let maps: Vec<Option<LocalMap>> = places.iter().map(|at| map_near(&pixels, *at)).collect();
-    let mut squares: Vec<f64> = places
-        .iter()
-        .zip(&maps)
-        .filter_map(|(at, map)| {
-            let [[a, b], [c, d]] = map.as_ref()?.steps_px(1.0);
-            Some(blobs[dots[at]].area_px / (std::f64::consts::PI * (a * d - b * c).abs()))
-        })
-        .collect();
-    squares.sort_by(f64::total_cmp);
-    let radius2 = squares.get(squares.len() / 2).copied().unwrap_or(0.0);
+    let squares = places.iter().zip(&maps).filter_map(|(at, map)| {
+        let [[a, b], [c, d]] = map.as_ref()?.steps_px(1.0);
+        Some(blobs[dots[at]].area_px / (std::f64::consts::PI * (a * d - b * c).abs()))
+    });
+    let radius2 = median(squares).unwrap_or(0.0);
     let observations: Vec<Observation> = places
         .iter()
         .zip(&maps)

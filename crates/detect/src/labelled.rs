@@ -11,6 +11,7 @@ use crate::fit::{FINE, Fit, Hole, ROUGH, Start, fit};
 use crate::grid::{REACH, is_corner};
 use crate::lattice::distance;
 use crate::local_map::LocalMap;
+use crate::statistics::median;
 
 /// A corner may move by this share of its window's step when it is fitted.
 const MOVE_SHARE: f64 = 0.3;
@@ -238,9 +239,7 @@ impl Labelled<'_> {
 
     /// Returns the residual of a corner that is believed, as a share of its contrast.
     fn most_residual(&self) -> f64 {
-        let mut shares: Vec<f64> = self.corners.values().map(residual_share).collect();
-        shares.sort_by(f64::total_cmp);
-        let median = shares.get(shares.len() / 2).copied().unwrap_or(0.0);
+        let median = median(self.corners.values().map(residual_share)).unwrap_or(0.0);
         RESIDUAL_SHARE.max(RESIDUAL_FACTOR * median)
     }
 
@@ -249,9 +248,7 @@ impl Labelled<'_> {
         let mut misfits: BTreeMap<[i32; 2], Option<(f64, f64)>> =
             self.corners.keys().map(|at| (*at, self.misfit(*at))).collect();
         // What a smooth lens does to neighbourhoods is alike all over a board.
-        let mut known: Vec<f64> = misfits.values().flatten().map(|(misfit, _)| *misfit).collect();
-        known.sort_by(f64::total_cmp);
-        let median = known.get(known.len() / 2).copied().unwrap_or(0.0);
+        let median = median(misfits.values().flatten().map(|(misfit, _)| *misfit)).unwrap_or(0.0);
         loop {
             let worst = misfits
                 .iter()

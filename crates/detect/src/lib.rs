@@ -22,6 +22,7 @@ mod placement;
 mod plane;
 mod registry;
 mod saddles;
+mod statistics;
 mod votes;
 
 pub use detection::{Detection, Missed, Pattern};

@@ -2,6 +2,8 @@
 
 use boresight_data::{Dictionary, GrayImage, GrayPixels, quarter_turned};
 
+use crate::statistics::median;
+
 /// Where in a cell the bits of a marker are, in shares of the cell's side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct MarkerCell {
@@ -56,13 +58,13 @@ pub(crate) fn read_marker(
         let inside = |n: usize| (cell.border..cell.border + side).contains(&n);
         !inside(i % modules) || !inside(i / modules)
     };
-    let black = median((0..greys.len()).filter(|i| is_border(*i)).map(|i| greys[i]).collect());
+    let black = median((0..greys.len()).filter(|i| is_border(*i)).map(|i| greys[i]))?;
     let beside = (1..6).map(|k| f64::from(k) / 6.0).flat_map(|t| {
         let w = cell.white_at;
         [[t, w], [t, 1.0 - w], [w, t], [1.0 - w, t]]
     });
-    let white = median(beside.filter_map(|[x, y]| grey(x, y)).collect());
-    if white.is_nan() || black.is_nan() || white - black < least_contrast {
+    let white = median(beside.filter_map(|[x, y]| grey(x, y)))?;
+    if white - black < least_contrast {
         return None;
     }
     // Where both colours are seen among the bits, their means are nearer to the truth than what is around them.
@@ -109,11 +111,6 @@ fn identify(code: u64, dictionary: Dictionary) -> Option<Marker> {
     let chance_of_this = sum / n_bits.exp2();
     let chance_of_any = 4.0 * dictionary.codes().len() as f64 * chance_of_this;
     Some(Marker { id, turn, chance_of_any, chance_of_this })
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 /// Returns the grey value between pixels, or `None` beyond the border.

@@ -3,6 +3,7 @@
 use boresight_data::{Geometry, GrayImage, Observation, Target};
 
 use crate::detection::{Detection, Missed};
+use crate::statistics::median;
 use crate::{april_grid, charuco, chessboard, circles};
 
 /// A detector of one kind of target.
@@ -45,9 +46,7 @@ pub fn detect(image: &GrayImage, target: &Target) -> Detection {
 /// weighed by that, it would outweigh them. What is known of the image as a whole bounds it: a point has at most four
 /// times the weight of the middle one.
 fn hold_least_sigmas(observations: &mut [Observation]) {
-    let mut sigmas_px: Vec<f64> = observations.iter().map(|observation| observation.sigma_px).collect();
-    sigmas_px.sort_by(f64::total_cmp);
-    let Some(middle_px) = sigmas_px.get(sigmas_px.len() / 2) else { return };
+    let Some(middle_px) = median(observations.iter().map(|observation| observation.sigma_px)) else { return };
     for observation in observations {
         observation.sigma_px = observation.sigma_px.max(LEAST_SIGMA_SHARE * middle_px);
     }
