@@ -240,8 +240,12 @@ fn lattices(blobs: &[Blob]) -> Vec<BTreeMap<[i32; 2], usize>> {
 fn nearest(blobs: &[Blob], i: usize, count: usize) -> Vec<usize> {
     let mut others: Vec<usize> = (0..blobs.len()).filter(|j| *j != i).collect();
     let away = |j: usize| distance(blobs[i].pixel, blobs[j].pixel);
-    others.sort_by(|&a, &b| away(a).total_cmp(&away(b)).then(a.cmp(&b)));
-    others.truncate(count);
+    let order = |a: &usize, b: &usize| away(*a).total_cmp(&away(*b)).then(a.cmp(b));
+    if others.len() > count {
+        others.select_nth_unstable_by(count, order);
+        others.truncate(count);
+    }
+    others.sort_by(order);
     others
 }
 
