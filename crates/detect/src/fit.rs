@@ -4,8 +4,8 @@
 //! k = d₂/s₂, the model is `b + bₓ x + b_y y + a g(h, k)`, where g is the mean of sgn(h + ξ) sgn(k + η) over normal ξ, η
 //! whose correlation ρ is the cosine of the angle between the edges' normals: that is what Gaussian blur makes of four
 //! sectors. It begins with E(h) E(k), E(x) = erf(x/√2), and goes on in powers of ρ with the tetrachoric series (Pearson
-//! 1900). Each edge may be a parabola of known curvature. The fit is least squares by Gauss-Newton with damping; its
-//! covariance, scaled by the residuals, tells how well the corner is known.
+//! 1900). Each edge may be a parabola of known curvature. The fit is least squares by Gauss-Newton, of whose steps a share
+//! is taken; its covariance, scaled by the residuals, tells how well the corner is known.
 
 mod normal;
 
