@@ -267,7 +267,7 @@ impl<'a> Window<'a> {
             }
             // The lattice is the image's own: columns are counted from its left, rows from its top.
             let from = from.ceil() as usize;
-            let skipped = (one_in * further + further * (v % one_in) - from % one_in) % one_in;
+            let skipped = (further * v + one_in - from % one_in) % one_in;
             for u in (from + skipped..=to.floor() as usize).step_by(one_in) {
                 let x = u as f64 - start.pixel[0];
                 let along = [slopes[0] * x + offsets[0], slopes[1] * x + offsets[1]];
