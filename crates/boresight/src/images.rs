@@ -164,7 +164,7 @@ pub(crate) fn look_up_or_detect<E>(
 /// Returns what a detection says of the size of the target.
 fn size_seen(detection: &Detection, target: &Target) -> SizeSeen {
     match detection.missed {
-        None if detection.is_whole => SizeSeen::AsDeclared,
+        None if detection.shows_size => SizeSeen::AsDeclared,
         Some(
             Missed::OtherSize { columns, rows }
             | Missed::TooLarge { columns, rows }

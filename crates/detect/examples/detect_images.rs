@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let missed = found.missed.map(|missed| missed.to_string()).unwrap_or_default();
         println!(
             "{{\"file\":{file:?},\"cpu_s\":{least_s:.6},\"whole\":{},\"missed\":{missed:?},\"corners\":[{}]}}",
-            found.is_whole,
+            found.shows_size,
             corners.join(",")
         );
     }

@@ -133,8 +133,8 @@ fn detect_at(image: &GrayImage, planes: &Planes, level: usize, target: &Target) 
         return Detection::missed(Missed::Contradiction { corners: observations.len() });
     }
     // Tags of one row alone are numbered alike on grids of any width.
-    let is_whole = spans_rows(votes.iter().flatten());
-    Detection { observations, missed: None, pattern: None, is_whole }
+    let shows_size = spans_rows(votes.iter().flatten());
+    Detection { observations, missed: None, pattern: None, shows_size }
 }
 
 /// Returns column and row of the first corner of a tag.

@@ -129,8 +129,8 @@ fn detect_at(image: &GrayImage, planes: &Planes, level: usize, board: &Board) ->
         return Detection::missed(Missed::Contradiction { corners: observations.len() });
     }
     // Markers of one row alone are numbered alike on boards of many widths.
-    let is_whole = spans_rows(votes.iter().flatten());
-    Detection { observations, missed: None, pattern: Some(pattern), is_whole }
+    let shows_size = spans_rows(votes.iter().flatten());
+    Detection { observations, missed: None, pattern: Some(pattern), shows_size }
 }
 
 /// Returns the labelled corners of lattices; where two claim the same label elsewhere, nobody gets it.

@@ -110,7 +110,7 @@ fn label(grid: &Grid, smooth: &Plane, scale: f64, board: [i32; 2]) -> Detection 
             observations: observations(grid, placement, board[0]),
             missed: None,
             pattern: None,
-            is_whole,
+            shows_size: is_whole,
         },
         Err(missed) => Detection::missed(missed),
     }

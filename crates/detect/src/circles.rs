@@ -105,8 +105,8 @@ fn label(
             }
         })
         .collect();
-    let is_whole = ends_inside(&pixels, image_size);
-    Detection { observations, missed: None, pattern: None, is_whole }
+    let shows_size = ends_inside(&pixels, image_size);
+    Detection { observations, missed: None, pattern: None, shows_size }
 }
 
 fn pixels(dots: &BTreeMap<[i32; 2], usize>, blobs: &[Blob]) -> BTreeMap<[i32; 2], [f64; 2]> {

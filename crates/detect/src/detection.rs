@@ -15,7 +15,7 @@ pub struct Detection {
     pub pattern: Option<Pattern>,
     /// Whether what is seen shows that the target has the size that was declared: it ends on all sides where it should,
     /// or its markers are numbered so, on more than one row. Without that, labels are right if the size is.
-    pub is_whole: bool,
+    pub shows_size: bool,
 }
 
 /// Where the markers of a ChArUco board are.
@@ -167,7 +167,7 @@ impl fmt::Display for Missed {
 impl Detection {
     /// Returns that nothing was detected.
     pub(crate) fn missed(missed: Missed) -> Self {
-        Self { observations: Vec::new(), missed: Some(missed), pattern: None, is_whole: false }
+        Self { observations: Vec::new(), missed: Some(missed), pattern: None, shows_size: false }
     }
 
     /// Tells whether this says more: more points, or without any a better reason.
@@ -180,7 +180,7 @@ impl Detection {
                 Some(Missed::OtherSize { columns, rows }) => (columns * rows) as usize,
                 _ => 0,
             };
-            0 < n && n <= n_other && !labelled.is_whole
+            0 < n && n <= n_other && !labelled.shows_size
         };
         if is_doubted(self, other) {
             return false;

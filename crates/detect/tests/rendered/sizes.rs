@@ -115,19 +115,19 @@ fn parts_of_boards_of_another_size_say_that_they_rely_on_the_declared_one() {
     let mut n_labelled = 0;
     for (i, (image, pose)) in cut_views(&printed).iter().enumerate() {
         let found = detect(image, &printed);
-        assert!(!found.is_whole, "image {i}");
+        assert!(!found.shows_size, "image {i}");
         if !found.observations.is_empty() {
             assert_eq!(right_turn(&found, pose, &printed, [9, 6]), Some(0), "image {i}");
             n_labelled += 1;
         }
         for (columns, rows) in [(10, 6), (9, 7), (8, 6), (9, 5), (10, 7), (6, 9)] {
             let found = detect(image, &board(columns, rows));
-            assert!(!found.is_whole, "image {i} as {columns}x{rows}: {found:?}");
+            assert!(!found.shows_size, "image {i} as {columns}x{rows}: {found:?}");
         }
     }
     assert!(n_labelled >= 8, "{n_labelled} of the cut boards are used");
     // A whole board says that it is as declared.
-    assert!(detect(&whole_views(&printed)[0].0, &printed).is_whole);
+    assert!(detect(&whole_views(&printed)[0].0, &printed).shows_size);
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn dots_of_another_size_or_layout_are_named() {
             let pose = facing(&printed, [0.01, -0.01, 0.42], 12.0 * t, 0.37 * t, 100.0 * t);
             let image = render(&camera, &pose, &printed, &[], &Exposure::default(), u64::from(i)).unwrap();
             let found = detect(&image, &printed);
-            assert_eq!((found.missed, found.is_whole), (None, true), "{layout:?} {i}");
+            assert_eq!((found.missed, found.shows_size), (None, true), "{layout:?} {i}");
             for (across, down) in [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 2)] {
                 let size = [columns.wrapping_add_signed(across), rows.wrapping_add_signed(down)];
                 let found = detect(&image, &dots(size[0], size[1], layout));
@@ -171,5 +171,5 @@ fn dots_cut_by_the_border_rely_on_the_declared_size() {
     let missed = detect(&image, &printed).missed;
     assert!(matches!(missed, Some(Missed::Ambiguous { .. })), "{missed:?}");
     let found = detect(&image, &dots(6, 5, CircleLayout::Symmetric));
-    assert!(!found.is_whole, "{found:?}");
+    assert!(!found.shows_size, "{found:?}");
 }
