@@ -145,7 +145,15 @@ pub fn adjust_times(
         TimeSearch::Look => LOOKED_AT_SIGMAS,
         TimeSearch::Estimate => SETTLED_SIGMAS,
     };
-    let mut before = (vec![0.0; clocks.len()], f64::INFINITY);
+    // What was estimated already is told again beside the others, and stays from the start.
+    let start_s = |clock: &Clock| {
+        let camera = |id: CameraId| scene.rig.cameras[id].as_ref();
+        match *clock {
+            Clock::Offset(id) => camera(id).map_or(0.0, |camera| camera.time_offset_s),
+            Clock::LineDelay(id) => camera(id).map_or(0.0, |camera| camera.line_delay_s),
+        }
+    };
+    let mut before = (clocks.iter().map(start_s).collect::<Vec<f64>>(), f64::INFINITY);
     let mut rounds = 0;
     loop {
         rounds += 1;
