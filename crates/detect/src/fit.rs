@@ -45,7 +45,7 @@ pub(crate) struct Enough {
 /// All of a sharp corner is looked at, until nothing is left to be gained.
 pub(crate) const FINE: Enough = Enough { step_px: 2e-3, gain_share: 1e-3, pixels: 1500 };
 /// What is enough for a corner that will be fitted again.
-pub(crate) const ROUGH: Enough = Enough { step_px: 0.1, gain_share: 1e-2, pixels: 1000 };
+pub(crate) const ROUGH: Enough = Enough { step_px: 0.1, gain_share: 1e-2, pixels: 500 };
 
 /// What is known of a corner before it is fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -118,10 +118,11 @@ pub(crate) fn fit(image: &GrayImage, start: &Start) -> Option<Fit> {
         if from_origin_px.is_nan() || from_origin_px >= window.reach_px {
             return None;
         }
-        let gain = share * normal.gradient.dot(&step);
+        let full_gain = normal.gradient.dot(&step);
+        let gain = share * full_gain;
         let moved_px = (next - x).fixed_rows::<2>(0).norm();
         // What is left after such a step is far below any sigma, and what it gains is as foretold.
-        if moved_px < start.enough.step_px && gain < start.enough.gain_share * normal.cost {
+        if moved_px < start.enough.step_px && full_gain < start.enough.gain_share * normal.cost {
             x = next;
             normal.cost -= gain;
             break;
