@@ -45,7 +45,7 @@ pub(crate) struct Enough {
 /// All of a sharp corner is looked at, until nothing is left to be gained.
 pub(crate) const FINE: Enough = Enough { step_px: 2e-3, gain_share: 1e-3, pixels: 1500 };
 /// What is enough for a corner that will be fitted again.
-pub(crate) const ROUGH: Enough = Enough { step_px: 0.1, gain_share: 1e-2, pixels: 500 };
+pub(crate) const ROUGH: Enough = Enough { step_px: 0.1, gain_share: 1e-2, pixels: 1000 };
 
 /// What is known of a corner before it is fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -78,7 +78,8 @@ fn response_peaks(smooth: &Plane, least_contrast: f64) -> Vec<(f32, usize)> {
     let mut peaks = Vec::new();
     for y in 6..height - 6 {
         let row = &response[y * width..][..width];
-        for (x, &value) in row.iter().enumerate().take(width - 6).skip(6) {
+        for x in 6..width - 6 {
+            let value = row[x];
             if value <= least || value < row[x - 1] || value <= row[x + 1] {
                 continue;
             }
