@@ -183,6 +183,9 @@ proptest! {
 #[test]
 fn times_that_a_format_has_no_place_for_are_told() {
     let mut calibration = calibration(rig(&[("opencv4", lens(4)), ("opencv4", lens(4))]));
+    for placed in calibration.scene.rig.cameras.iter_mut().flatten() {
+        (placed.time_offset_s, placed.line_delay_s) = (0.0, 0.0);
+    }
     assert!(FORMATS.iter().all(|format| lost_in(&calibration, format.name).is_empty()));
     let placed = calibration.scene.rig.cameras.iter_mut().flatten().last().unwrap();
     (placed.time_offset_s, placed.line_delay_s) = (0.0123, -4.5e-6);
