@@ -11,7 +11,7 @@ use anyhow::{Context as _, bail};
 use serde::Deserialize;
 
 use crate::arguments::Arguments;
-use crate::process::{cargo, command, root, run as run_process, shown, target};
+use crate::process::{boresight, command, root, shown, target};
 use crate::table::{self, markdown};
 
 const DOCS: &str = "docs/datasets.md";
@@ -60,10 +60,10 @@ pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
     let is_whole = named.is_empty();
     let names = if is_whole { all } else { named };
 
-    run_process(cargo().args(["build", "--release", "--package", "boresight-cli"]))?;
+    let program = boresight()?;
     let (mut cameras, mut solves, mut all_good) = (Vec::new(), Vec::new(), true);
     for name in &names {
-        let (calibration, passed) = calibrate(name)?;
+        let (calibration, passed) = calibrate(&program, name)?;
         all_good &= passed;
         cameras.extend(camera_rows(name, &calibration));
         let gate = if passed { "passed" } else { "failed" };
@@ -118,9 +118,9 @@ fn committed() -> anyhow::Result<Vec<String>> {
 }
 
 /// Returns a dataset's calibration, and whether it passed its quality gates.
-fn calibrate(name: &str) -> anyhow::Result<(Calibration, bool)> {
+fn calibrate(program: &Path, name: &str) -> anyhow::Result<(Calibration, bool)> {
     let out = target().join("datasets").join(name);
-    let mut calibrate = command(target().join("release/boresight"));
+    let mut calibrate = command(program);
     calibrate.arg("calibrate").arg(Path::new("datasets").join(name)).arg("-o").arg(&out);
     // What it prints is for people.
     let status = calibrate.stdout(std::io::stderr()).status().with_context(|| shown(&calibrate))?;

@@ -8,7 +8,7 @@ use anyhow::{Context as _, bail};
 use serde::Deserialize;
 
 use crate::arguments::Arguments;
-use crate::process::{cargo, command, output, reference_environment, run as run_process, target};
+use crate::process::{command, example, output, reference_environment};
 use crate::table::{self, markdown};
 
 const DOCS: &str = "docs/detection.md";
@@ -42,9 +42,7 @@ pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
     if !datasets.is_dir() {
         bail!("{} is not there", datasets.display());
     }
-    let build = ["build", "--release", "--package", "boresight-detect", "--example", "detect_images"];
-    run_process(cargo().args(build)).context("building the program")?;
-    let program = target().join("release/examples/detect_images");
+    let program = example("detect_images")?;
     let mut python = command(reference_environment().join("bin/python"));
     let text = output(python.arg("tools/bench/detection.py").arg(&program).arg(&datasets))?;
     let line = text.lines().rfind(|line| line.starts_with('{')).context("no line of JSON was printed")?;

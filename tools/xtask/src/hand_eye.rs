@@ -11,7 +11,7 @@ use anyhow::{Context as _, bail};
 use serde::Deserialize;
 
 use crate::arguments::Arguments;
-use crate::process::{cargo, command, output, root, run as run_process, shown, target};
+use crate::process::{boresight, command, output, root, run as run_process, shown, target};
 use crate::table::{self, markdown};
 
 const DOCS: &str = "docs/hand-eye.md";
@@ -73,11 +73,10 @@ pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
         run_process(detect.arg("tools/reference/tag_corners.py").arg(images).args(["36h11", TAG_CORNERS]))?;
     }
     let reference = if keep_reference { kept_reference()? } else { made_reference()? };
-    // With the features of the whole workspace, so that nothing is built twice.
-    run_process(cargo().args(["build", "--workspace", "--bin", "boresight"]))?;
+    let program = boresight()?;
     let (mut headlines, mut methods) = (Vec::new(), Vec::new());
     for name in jobs()? {
-        let found = calibrate(&name)?;
+        let found = calibrate(&program, &name)?;
         let of_opencv = reference.get(&name).cloned().unwrap_or_default();
         let best = of_opencv.iter().min_by(|one, other| one.1[0].total_cmp(&other.1[0]));
         let own = found.leave_one_out.figures.as_ref().map_or(f64::NAN, |figures| 1e3 * figures.mean_m);
@@ -118,8 +117,8 @@ pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
     let text = [
         markdown(&head, &headlines),
         markdown(&["recording, method", "mean mm", "95 % mm", "most mm"], &methods),
-        poses::tables()?,
-        planar::table()?,
+        poses::tables(&program)?,
+        planar::table(&program)?,
     ]
     .join("\n");
     println!("{text}");
@@ -174,15 +173,15 @@ fn jobs() -> anyhow::Result<Vec<String>> {
 }
 
 /// Returns what came of a recording; a failed quality gate is one of its findings.
-fn calibrate(name: &str) -> anyhow::Result<HandEye> {
-    let text = calibrated(&Path::new(JOBS).join(name), name)?;
+fn calibrate(program: &Path, name: &str) -> anyhow::Result<HandEye> {
+    let text = calibrated(program, &Path::new(JOBS).join(name), name)?;
     serde_json::from_str(&text).with_context(|| name.to_owned())
 }
 
 /// Calibrates a job and returns its `hand-eye.json`.
-fn calibrated(job: &Path, name: &str) -> anyhow::Result<String> {
+fn calibrated(program: &Path, job: &Path, name: &str) -> anyhow::Result<String> {
     let out = target().join("robot").join(name);
-    let mut calibrate = command(target().join("debug/boresight"));
+    let mut calibrate = command(program);
     calibrate.args(["robot", "hand-eye"]).arg(job).arg("-o").arg(&out);
     let status = calibrate.stdout(std::io::stderr()).status().with_context(|| shown(&calibrate))?;
     if !matches!(status.code(), Some(0 | 1)) {

@@ -7,7 +7,7 @@ use anyhow::{Context as _, bail};
 use serde::Deserialize;
 
 use crate::arguments::Arguments;
-use crate::process::{cargo, command, output, root, run as run_process, target};
+use crate::process::{command, example, output, root};
 use crate::table;
 
 /// The file with the table, and the command that makes it.
@@ -53,9 +53,7 @@ pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
     let rounds = arguments.option::<usize>("--rounds")?.unwrap_or(3).max(1);
     let keep_docs = arguments.flag("--keep-docs");
     arguments.finish()?;
-    let build = ["build", "--release", "--package", "boresight-tests", "--example", "reject_outliers"];
-    run_process(cargo().args(build)).context("building the program")?;
-    let ours = target().join("release/examples/reject_outliers");
+    let ours = example("reject_outliers")?;
     let mut rows = Vec::new();
     let mut is_good = true;
     for &(label, name) in NAMES {

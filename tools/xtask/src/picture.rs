@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use serde::Deserialize;
 
 use crate::arguments::Arguments;
-use crate::process::{cargo, command, output, root, run as run_process, target};
+use crate::process::{boresight, command, output, root, target};
 
 const DATASET: &str = "datasets/opencv-stereo";
 const CORNERS: &str = "datasets/opencv-stereo/corners-classic5.csv";
@@ -48,10 +48,7 @@ pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
     arguments.finish()?;
     let program = match program {
         Some(program) => program,
-        None => {
-            run_process(cargo().args(["build", "--release"])).context("building Boresight")?;
-            target().join("release/boresight")
-        }
+        None => boresight()?,
     };
     let out = target().join("picture");
     output(command(&program).args(["calibrate", DATASET, "--holdout", "off", "-o"]).arg(&out))?;

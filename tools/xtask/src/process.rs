@@ -33,6 +33,23 @@ pub(crate) fn cargo() -> Command {
     command(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
 }
 
+/// Returns where `boresight` is, built as users have it.
+pub(crate) fn boresight() -> anyhow::Result<PathBuf> {
+    built("--bin", "boresight", "release")
+}
+
+/// Returns where an example of the workspace is, built as users have the rest.
+pub(crate) fn example(name: &str) -> anyhow::Result<PathBuf> {
+    built("--example", name, "release/examples")
+}
+
+/// Builds with the features of the whole workspace, so that nothing is built twice.
+fn built(kind: &str, name: &str, folder: &str) -> anyhow::Result<PathBuf> {
+    run(cargo().args(["build", "--release", "--workspace", kind, name]))
+        .with_context(|| format!("building {name}"))?;
+    Ok(target().join(folder).join(name))
+}
+
 /// Runs a command whose output is for the developer, and fails if it does.
 pub(crate) fn run(command: &mut Command) -> anyhow::Result<()> {
     // Only our own answer may go to stdout.

@@ -7,7 +7,7 @@ use anyhow::{Context as _, bail};
 use serde::Deserialize;
 
 use crate::arguments::Arguments;
-use crate::process::{cargo, command, output, root, run as run_process, target};
+use crate::process::{command, example, output, root};
 use crate::table;
 
 /// The file with the table, and the command that makes it.
@@ -43,9 +43,7 @@ pub(crate) fn run(mut arguments: Arguments) -> anyhow::Result<ExitCode> {
     if !problem.is_file() {
         bail!("{} is not there", problem.display());
     }
-    let build = ["build", "--release", "--package", "boresight-tests", "--example", "uncertainty_map"];
-    run_process(cargo().args(build)).context("building the program")?;
-    let ours = target().join("release/examples/uncertainty_map");
+    let ours = example("uncertainty_map")?;
     let mut is_good = true;
     let mut rows = Vec::new();
     for distance in DISTANCES_M {

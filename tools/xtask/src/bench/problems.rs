@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, bail};
 
 use crate::bench::measure::REPEAT;
-use crate::process::{cargo, command, output, reference_environment, root, run, succeeds, target};
+use crate::process::{command, example, output, reference_environment, root, run, succeeds, target};
 
 /// Where the conformance data are, when they are beside the project.
 const CONFORMANCE: &str = "../shared/conformance/mrcal/problems";
@@ -80,10 +80,8 @@ pub(crate) fn prepare(folder: Option<PathBuf>) -> anyhow::Result<Vec<Problem>> {
 
 /// Makes a problem by `synthetic`.
 fn synthesize(python: &Path, recipe: &[&str], npz: &Path) -> anyhow::Result<()> {
-    let build = ["build", "--release", "--package", "boresight-tests", "--example", "make_problem"];
-    run(cargo().args(build)).context("building the program that makes problems")?;
     let arrays = npz.with_extension("json");
-    let made = output(command(target().join("release/examples/make_problem")).args(recipe))?;
+    let made = output(command(example("make_problem")?).args(recipe))?;
     std::fs::write(&arrays, made).with_context(|| arrays.display().to_string())?;
     run(make_problem(python).arg("pack").arg(&arrays).arg(npz))
 }

@@ -3,10 +3,9 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-use anyhow::Context as _;
 
 use crate::bench::problems::Problem;
-use crate::process::{cargo, command, reference_environment, run, succeeds, target};
+use crate::process::{command, example, reference_environment, run, succeeds, target};
 
 /// OpenCV's joint solve of two cameras is dense in the frames' poses; more frames take minutes.
 const OPENCV_PAIR_FRAMES: usize = 50;
@@ -76,10 +75,7 @@ impl Solver {
 }
 
 fn boresight() -> anyhow::Result<Solver> {
-    let build = ["build", "--release", "--package", "boresight-tests", "--example", "solve_problem"];
-    run(cargo().args(build)).context("building Boresight's bench program")?;
-    let program = target().join("release/examples/solve_problem");
-    Ok(Solver { name: OURS, program, script: None, is_interleaved: true })
+    Ok(Solver { name: OURS, program: example("solve_problem")?, script: None, is_interleaved: true })
 }
 
 fn mrcal() -> Result<Solver, Missing> {

@@ -9,7 +9,7 @@ use serde_json::json;
 
 use super::DOCS;
 use super::recorded_sets::{ForMrcal, RecordedSets, Set};
-use crate::process::{cargo, command, output, reference_environment, root, run as run_process, target};
+use crate::process::{boresight, command, output, reference_environment, root, target};
 use crate::table::{self, markdown};
 
 const COMMAND: &str = "cargo xtask datasets --recorded";
@@ -80,10 +80,7 @@ pub(super) fn run(named: &[String], program: Option<PathBuf>, keep_docs: bool) -
     }
     let program = match program {
         Some(program) => std::path::absolute(&program).with_context(|| program.display().to_string())?,
-        None => {
-            run_process(cargo().args(["build", "--release", "--package", "boresight-cli"]))?;
-            target().join("release/boresight")
-        }
+        None => boresight()?,
     };
     let (mut rows, mut of_mrcal, mut failed) = (Vec::new(), Vec::new(), Vec::new());
     let mut versions = ["?".to_owned(), "?".to_owned()];

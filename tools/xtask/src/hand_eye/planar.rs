@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use serde::Deserialize;
 
 use super::SHARED;
-use crate::process::{command, output, root, target};
+use crate::process::{command, output, root};
 use crate::table::markdown;
 
 const FOLDER: &str = "planar-khepera-censi/raw/reference-output";
@@ -42,11 +42,11 @@ struct Published {
 }
 
 /// Calibrates the recordings and returns their table.
-pub(super) fn table() -> anyhow::Result<String> {
+pub(super) fn table(program: &Path) -> anyhow::Result<String> {
     let mut rows = Vec::new();
     for name in RECORDINGS {
         let folder = Path::new(SHARED).join(FOLDER);
-        let mut calibrate = command(target().join("debug/boresight"));
+        let mut calibrate = command(program);
         calibrate.args(["robot", "planar", "--json"]).arg(folder.join(format!("{name}.tuple")));
         let found: Document = serde_json::from_str(&output(&mut calibrate)?).context(name)?;
         let path = root().join(&folder).join(format!("{name}_results.json"));

@@ -70,7 +70,7 @@ struct Link {
 }
 
 /// Calibrates the recordings and returns their tables.
-pub(super) fn tables() -> anyhow::Result<String> {
+pub(super) fn tables(program: &Path) -> anyhow::Result<String> {
     for (archive, folder) in ARCHIVES {
         if !root().join(STREAMS).join(folder).is_dir() {
             let archive = Path::new(SHARED).join("handeye-poses-ethz/raw").join(archive);
@@ -79,7 +79,7 @@ pub(super) fn tables() -> anyhow::Result<String> {
     }
     let (mut rows, mut all) = (Vec::new(), Vec::new());
     for (name, reference) in RECORDINGS {
-        let text = calibrated(&Path::new(JOBS).join(name), name)?;
+        let text = calibrated(program, &Path::new(JOBS).join(name), name)?;
         let found: Document = serde_json::from_str(&text).with_context(|| name.to_owned())?;
         let own = found.left_out.or_else(|| found.methods.last().and_then(|method| method.left_out));
         let shown = |figures: Option<Figures>| {
