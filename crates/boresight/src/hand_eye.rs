@@ -142,8 +142,10 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
             finding: readings.finding.map(Box::new),
         });
     }
-    let mut findings = check_motions(&poses, robot.axes)?;
-    findings.extend(readings.finding.filter(|_| robot.axes == RobotAxes::Six));
+    let misread = readings.finding.filter(|_| robot.axes == RobotAxes::Six);
+    let mut findings =
+        check_motions(&poses, robot.axes).map_err(|why| or_misread(why, misread.as_ref()))?;
+    findings.extend(misread.clone());
     findings.extend(doubts::of_pairs(robot, &dataset));
     findings.extend(moving.iter().flat_map(|moving| moving.findings.clone()));
     let pairs = |mounting| -> Vec<PosePair> {
@@ -171,14 +173,14 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     exact.robot_touches = robot.touches.as_ref().map(|touches| touched(touches, factor));
     let mut seed = first.calibration.scene.clone();
     seed.robot = Some(Robot::mounted(mounting, hand_eye.carrier_from_rig, hand_eye.other_from_target));
-    let misread = findings.iter().find(|finding| finding.code == "robot-poses-read");
-    let seed = optimize(&dataset, &seed, &exact).map_err(|why| not_begun(why, misread))?.scene;
+    let seed = optimize(&dataset, &seed, &exact).map_err(|why| not_begun(why, misread.as_ref()))?.scene;
+    let failed = |why: boresight_adjust::Error| not_fitted(why, misread.as_ref());
 
     let mut methods =
         compare::closed_forms(&dataset, &first.calibration.scene, mounting, &frames, robot.axes);
     let mut candidates: Vec<Candidate> = Vec::new();
     let mut offer = |name: &str, options: AdjustOptions, start: &Scene| -> Result<(), Error> {
-        let held_out = leave_one_out(&dataset, start, &options)?;
+        let held_out = leave_one_out(&dataset, start, &options).map_err(failed)?;
         methods.push(MethodFigures::of(name, &held_out));
         candidates.push(Candidate { options, start: start.clone(), held_out });
         Ok(())
@@ -207,7 +209,8 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
         NoiseChoice::Estimated => {
             let start =
                 RobotNoise { rotation_rad: 1e-3 / factor, translation_m: 1e-3 / factor, stretch: None };
-            let noise = estimate_robot_noise(&dataset, &with_first_lenses, start, &exact)?;
+            let noise =
+                estimate_robot_noise(&dataset, &with_first_lenses, start, &exact).map_err(failed)?;
             if let Some(plain) = &noise {
                 let with = AdjustOptions { robot_noise: Some(plain.relative), ..exact.clone() };
                 offer(NOISE_ESTIMATED, with, &plain.scene)?;
@@ -217,7 +220,9 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
                 Some(plain) if frames.len() >= LEAST_FRAMES_FOR_STRETCH && robot.axes == RobotAxes::Six => {
                     let start = RobotNoise { stretch: Some(1e-2 / factor), ..plain.relative };
                     let is_there = |noise: &EstimatedNoise| noise.noise.stretch > Some(stretch::NEGLIGIBLE);
-                    estimate_robot_noise(&dataset, &plain.scene, start, &exact)?.filter(is_there)
+                    estimate_robot_noise(&dataset, &plain.scene, start, &exact)
+                        .map_err(failed)?
+                        .filter(is_there)
                 }
                 _ => None,
             };
@@ -237,12 +242,13 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     let needed = stretched.filter(is_needed);
     let chosen = needed.unwrap_or(plain);
     let Candidate { options: chosen_options, start, held_out } = &candidates[chosen];
-    let mut calibration = adjust(&dataset, start, chosen_options, watch.observer.clone())?;
+    let mut calibration =
+        adjust(&dataset, start, chosen_options, watch.observer.clone()).map_err(failed)?;
     let without_stretch = match needed {
         None => None,
         Some(_) => {
             let Candidate { options, start, .. } = &candidates[plain];
-            let scene = optimize(&dataset, start, options)?.scene;
+            let scene = optimize(&dataset, start, options).map_err(failed)?.scene;
             scene.robot.map(|robot| PlainAnswer {
                 method: methods[n_closed + plain].clone(),
                 carrier_from_rig: robot.carrier_from_rig(),
@@ -310,6 +316,26 @@ fn not_begun(why: boresight_adjust::Error, misread: Option<&Finding>) -> Error {
             Error::PosesMisfit { why, finding: misread.cloned().map(Box::new) }
         }
         why => why.into(),
+    }
+}
+
+/// Returns why an adjustment failed that had begun: the poses, where they put points out of view or another reading is
+/// known to fit far better.
+fn not_fitted(why: boresight_adjust::Error, misread: Option<&Finding>) -> Error {
+    match (&why, misread) {
+        (boresight_adjust::Error::SeedOutOfView { .. }, _) | (_, Some(_)) => not_begun(why, misread),
+        (_, None) => why.into(),
+    }
+}
+
+/// Adds to a refusal of motions that another reading of the poses is known to fit far better.
+fn or_misread(why: Error, misread: Option<&Finding>) -> Error {
+    match (why, misread) {
+        (Error::Degenerate(mut refused), Some(misread)) => {
+            refused.fix = format!("{} Or they are misread: {}. {}", refused.fix, misread.message, misread.fix);
+            Error::Degenerate(refused)
+        }
+        (why, _) => why,
     }
 }
 

@@ -77,6 +77,34 @@ fn degenerate_motions_are_refused_and_nothing_is_written() {
 }
 
 #[test]
+fn poses_that_are_misread_are_told_wherever_they_fail() {
+    let folder = tempfile::tempdir().unwrap();
+    let fixed = dataset("robot-hand-eye-fixed");
+    let table = std::fs::read_to_string(dataset("robot-hand-eye-fixed/poses.csv")).unwrap();
+    // Radians under a header of degrees: the robot hardly turns.
+    let mut lines = table.lines();
+    let header = lines.next().unwrap().to_owned();
+    let in_radians = lines.map(|line| {
+        let fields = line.split(',').enumerate().map(|(i, field)| match i {
+            4.. => format!("{:.7}", field.parse::<f64>().unwrap().to_radians()),
+            _ => field.to_owned(),
+        });
+        fields.collect::<Vec<String>>().join(",")
+    });
+    let text = [header].into_iter().chain(in_radians).collect::<Vec<String>>().join("\n");
+    std::fs::write(folder.path().join("poses.csv"), text + "\n").unwrap();
+    let run = boresight(folder.path(), &["robot", "hand-eye", &fixed, "--poses", "poses.csv"]);
+    assert_eq!(run.code, Some(4), "{}", run.stderr);
+    for part in ["robot-no-rotation", "misread", "moving-zyx:rad:mm"] {
+        assert!(run.stderr.contains(part), "`{part}` is not in: {}", run.stderr);
+    }
+    // The wrong mount, which an adjustment may begin from and not end.
+    let run = boresight(folder.path(), &["robot", "hand-eye", &fixed, "--mount", "on-flange"]);
+    assert!(matches!(run.code, Some(1 | 4)), "{}", run.stderr);
+    assert!(run.stderr.contains("cameras fixed") && !run.stderr.contains("simpler lens"), "{}", run.stderr);
+}
+
+#[test]
 fn a_stretched_robot_is_told_with_how_to_correct_it() {
     let folder = tempfile::tempdir().unwrap();
     let name = "robot-hand-eye-on-flange";
