@@ -275,6 +275,7 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
         .as_ref()
         .and_then(|touches| touched::touched_points(touches, &dataset, &calibration, robot_noise));
     findings.extend(touched.as_ref().and_then(touched::doubt));
+    findings.extend(doubts::of_misfit(&methods[n_closed + chosen], &frames, noise.as_ref()));
     findings.extend(doubts::of_noise(&methods, noise.as_ref(), is_noise_used));
     findings.extend(doubts::of_frames(&dataset, held_out));
     findings.extend(doubts::of_height(robot.axes, robot.height_m));

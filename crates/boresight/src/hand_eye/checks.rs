@@ -184,6 +184,16 @@ pub const ROBOT_CODES: &[(&str, &str)] = &[
          height_m in [robot].",
     ),
     (
+        "robot-misfit",
+        "What it means: frames left out are missed by more than 3 % of the target's distance, 30 mm at a metre; or the robot\n\
+         turns by more than a degree otherwise than it says; or, of all readings of the poses, the best misses frames left\n\
+         out by more than 5 % of the distance.\n\n\
+         Why it matters: no robot is off by so much. The poses and the pictures do not belong together, and the calibration\n\
+         is meaningless.\n\n\
+         How to fix it: check that each row is of its own frame, that the poses are of one tool and of this recording, and\n\
+         that clocks are matched where the robot moved; `boresight robot poses` tries all conventions.",
+    ),
+    (
         "robot-mounting",
         "What it means: the poses fit far better if the camera is taken to be where the job says it is not: on the\n\
          flange instead of fixed, or the other way round. Inverted poses (flange_from_base) look the same to the data.\n\n\

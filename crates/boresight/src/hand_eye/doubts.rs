@@ -7,10 +7,15 @@ use boresight_data::{Calibration, Dataset, Finding, FrameId, Id as _, Mounting, 
 use boresight_io::{RobotAxes, RobotInput};
 
 use super::compare::{mean, median};
-use super::{MethodFigures, NOISE_ESTIMATED, PlainAnswer};
+use super::{FrameTold, MethodFigures, NOISE_ESTIMATED, PlainAnswer};
 
 /// How many times better the other mounting must fit to be told.
 const BETTER_MOUNTING: f64 = 3.0;
+/// The share of the target's distance by which frames left out may be missed. Of
+/// the recorded robots the worst has 0.013.
+const MISFIT_SHARE: f64 = 0.03;
+/// By how many degrees a robot's turns may be off about each axis: of the recorded robots the worst has 0.27.
+const MISFIT_DEG: f64 = 1.0;
 /// How many times the median a frame's error must be to be told.
 const FRAME_OFF: f64 = 4.0;
 
@@ -33,6 +38,47 @@ pub(super) fn of_mounting(mounting: Mounting, misfit_m: f64, other_m: Option<f64
                 .to_owned(),
         }
     })
+}
+
+/// Tells that left-out frames are missed, or that the robot turns otherwise than it says, by more than robots do.
+pub(super) fn of_misfit(
+    answer: &MethodFigures,
+    frames: &[FrameTold],
+    noise: Option<&EstimatedNoise>,
+) -> Option<Finding> {
+    let distances: Vec<f64> = frames.iter().map(|told| told.rig_from_target.translation.norm()).collect();
+    // A method without figures puts points where no ray of their pixels is.
+    let missed_m = answer.figures.map_or(f64::INFINITY, |figures| figures.mean_m);
+    let by_turns = || {
+        let degrees = noise?.noise.rotation_rad.to_degrees();
+        let what = format!("the robot's turns are off by {degrees:.1} degrees about each axis");
+        (degrees > MISFIT_DEG).then(|| misfit_of(&what, Some(degrees), MISFIT_DEG))
+    };
+    misfit(missed_m, median(&distances), MISFIT_SHARE, "frames left out are missed").or_else(by_turns)
+}
+
+/// Returns the finding that something is missed by more than a share of the target's distance.
+pub(super) fn misfit(missed_m: f64, distance_m: f64, limit: f64, what: &str) -> Option<Finding> {
+    let share = missed_m / distance_m;
+    let by = match share.is_finite() {
+        true => format!("{:.1} mm, {:.1} % of the target's distance", 1e3 * missed_m, 100.0 * share),
+        false => "any distance".to_owned(),
+    };
+    (share > limit).then(|| misfit_of(&format!("{what} by {by}"), share.is_finite().then_some(share), limit))
+}
+
+fn misfit_of(what: &str, measured: Option<f64>, limit: f64) -> Finding {
+    Finding {
+        code: "robot-misfit".to_owned(),
+        severity: Severity::Fail,
+        place: "robot".to_owned(),
+        message: format!("{what}: the poses do not go with what the cameras saw"),
+        measured,
+        limit: Some(limit),
+        fix: "Check that each row is of its own frame, that all are of one tool and a right-handed frame, and their \
+              convention with `boresight robot poses`."
+            .to_owned(),
+    }
 }
 
 /// Tells that the robot's noise was estimated and not used.

@@ -5,13 +5,17 @@ use boresight_geometry::Pose;
 use boresight_io::{Job, RobotInput};
 use boresight_seed::hand_eye::{Reading, RowChange, readings};
 
-use super::{corners_of, without_rejected};
+use super::compare::median;
+use super::{corners_of, doubts, without_rejected};
 use crate::calibrate::{Watch, calibrate};
 use crate::error::Error;
 use crate::options::CalibrateOptions;
 
 /// How many times better another reading must fit to be told as a finding.
 const BETTER_READING: f64 = 3.0;
+
+/// The share of the target's distance by which the best reading may miss it and still be told as the right one.
+const BEST_SHARE: f64 = 0.05;
 
 /// An error below this is rounding, in metres, and no reading is better than another by it.
 const EXACT_M: f64 = 1e-9;
@@ -28,6 +32,8 @@ pub struct PoseReadings {
     pub finding: Option<Finding>,
     /// The names of the frames, which changes of tools refer to.
     pub frames: Vec<String>,
+    /// The median distance of the target, in metres.
+    pub distance_m: f64,
 }
 
 /// Calibrates the cameras of a job and tries all readings of its robot's poses.
@@ -39,7 +45,12 @@ pub fn read_poses(job: &Job, options: &CalibrateOptions) -> Result<PoseReadings,
     let first = calibrate(job, options, &Watch::default())?;
     let robot = robot.for_frames(&job.dataset, &first.dataset);
     let dataset = without_rejected(&first.dataset, &first.calibration);
-    Ok(pose_readings(&robot, &dataset, &first.calibration.scene))
+    let mut read = pose_readings(&robot, &dataset, &first.calibration.scene);
+    if let (None, Some(best)) = (&read.finding, read.readings.first()) {
+        let what = "the best reading misses frames left out";
+        read.finding = doubts::misfit(best.held_out_m, read.distance_m, BEST_SHARE, what);
+    }
+    Ok(read)
 }
 
 /// Tries all readings on calibrated cameras.
@@ -62,8 +73,14 @@ pub(super) fn pose_readings(robot: &RobotInput, dataset: &Dataset, scene: &Scene
             Reading { convention: robot.convention, mounting, change: RowChange::None, held_out_m: 0.0 };
         readings.iter().position(|reading| reading.is_alike(&stated) && is_named_alike(reading, &stated))
     });
+    let distances: Vec<f64> = seen.iter().map(|pose| pose.translation.norm()).collect();
+    let distance_m = median(&distances);
     let finding = finding(robot, &readings, stated, &frames);
-    PoseReadings { readings, stated, finding, frames }
+    // What misses the target itself is no better reading. Changes of rows are only sought where they are far better.
+    let is_good =
+        |best: &Reading| best.change != RowChange::None || best.held_out_m < BEST_SHARE * distance_m;
+    let finding = finding.filter(|_| readings.first().is_some_and(is_good));
+    PoseReadings { readings, stated, finding, frames, distance_m }
 }
 
 /// Tells whether two alike readings are so without turning one into its twin.

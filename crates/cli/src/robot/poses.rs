@@ -25,7 +25,8 @@ pub(crate) struct PosesArguments {
     pub most: usize,
 }
 
-/// Lists the readings of the poses, the best first. Exit codes: 0 the stated one is the best, 1 another is by far.
+/// Lists the readings of the poses, the best first. Exit codes: 0 the stated one is the best, 1 another is by far, or none
+/// fits.
 pub(crate) fn run(arguments: &PosesArguments) -> Result<ExitCode, Failure> {
     let job = inputs::load_with_robot(&arguments.input, arguments.robot.overrides())?;
     let found = boresight::read_poses(&job, &CalibrateOptions::of_job(&job)?)?;

@@ -141,6 +141,23 @@ fn a_stretched_robot_is_told_with_how_to_correct_it() {
 }
 
 #[test]
+fn poses_of_other_frames_are_no_good_result() {
+    let folder = tempfile::tempdir().unwrap();
+    let fixed = dataset("robot-hand-eye-fixed");
+    let table = std::fs::read_to_string(dataset("robot-hand-eye-fixed/poses.csv")).unwrap();
+    // Two rows in each other's place.
+    let exchanged =
+        table.replace("frame003", "third").replace("frame004", "frame003").replace("third", "frame004");
+    assert_ne!(exchanged, table);
+    std::fs::write(folder.path().join("poses.csv"), exchanged).unwrap();
+    for command in ["hand-eye", "poses"] {
+        let run = boresight(folder.path(), &["robot", command, &fixed, "--poses", "poses.csv"]);
+        assert_eq!(run.code, Some(1), "{command}: {}", run.stderr);
+        assert!(run.stderr.contains("fail[robot-misfit]"), "{command}: {}", run.stderr);
+    }
+}
+
+#[test]
 fn frames_without_a_pose_are_told() {
     let folder = tempfile::tempdir().unwrap();
     let name = "robot-hand-eye-fixed";
