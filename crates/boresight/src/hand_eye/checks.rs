@@ -247,10 +247,11 @@ pub const ROBOT_CODES: &[(&str, &str)] = &[
     (
         "robot-unpaired",
         "What it means: some frames in which corners were seen have no row in the table of the robot's poses, or some rows\n\
-         name frames in which nothing was seen.\n\n\
+         name frames in which nothing was seen; or a robot that moved told no pose at the time of some frames.\n\n\
          Why it matters: such frames tell of the lenses and not of where cameras sit; such poses tell nothing. Where names are\n\
          misspelt, poses are lost.\n\n\
-         How to fix it: compare the column `frame` with the names that `boresight info` lists.",
+         How to fix it: compare the column `frame` with the names that `boresight info` lists; of a robot that moved, record\n\
+         poses without gaps, for longer than images are taken.",
     ),
     (
         "sights-far-off",

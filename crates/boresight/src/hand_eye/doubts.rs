@@ -133,10 +133,13 @@ pub(super) fn of_frames(dataset: &Dataset, held_out: &[HeldOut]) -> Vec<Finding>
     .collect()
 }
 
+/// The share of frames without a pose of a robot that moved above which it is more than a note.
+const MANY_MUTE: f64 = 0.1;
+
 /// Tells of frames without poses and poses without frames, of a robot whose poses are tied to frames.
 pub(super) fn of_pairs(robot: &RobotInput, dataset: &Dataset) -> Option<Finding> {
     if !robot.frame_times_s.is_empty() {
-        return None;
+        return of_moments(robot, dataset);
     }
     let seen = dataset.views.iter().map(|view| view.frame).collect::<BTreeSet<FrameId>>();
     let row_of = |frame: &FrameId| robot.row_of_frame.get(frame.index()).copied().flatten();
@@ -166,6 +169,31 @@ pub(super) fn of_pairs(robot: &RobotInput, dataset: &Dataset) -> Option<Finding>
         measured: Some((mute.len() + idle.len()) as f64),
         limit: Some(0.0),
         fix: "Check the names in the column `frame` of the poses against those that `boresight info` lists.".to_owned(),
+    })
+}
+
+/// Tells of frames without a time, and of ones at whose time a robot that moved told no pose.
+fn of_moments(robot: &RobotInput, dataset: &Dataset) -> Option<Finding> {
+    let seen = dataset.views.iter().map(|view| view.frame).collect::<BTreeSet<FrameId>>();
+    let has_time = |frame: &FrameId| robot.frame_times_s.get(frame.index()).copied().flatten().is_some();
+    let untimed = seen.iter().filter(|frame| !has_time(frame)).count();
+    let mute = seen.iter().filter(|frame| dataset.frames[**frame].base_from_flange.is_none()).count();
+    let share = mute as f64 / seen.len().max(1) as f64;
+    (mute > 0).then(|| Finding {
+        code: "robot-unpaired".to_owned(),
+        severity: if share > MANY_MUTE { Severity::Caution } else { Severity::Note },
+        place: "robot".to_owned(),
+        message: format!(
+            "{mute} of {} frames with corners have no pose of the robot and tell of lenses only: {untimed} have no time, \
+             and {} are of a time at which the robot told none, by the offset of the clocks that was found",
+            seen.len(),
+            mute - untimed.min(mute)
+        ),
+        measured: Some(share),
+        limit: Some(MANY_MUTE),
+        fix: "Record the robot's poses without gaps, from before the first image until after the last, and name each \
+              frame in frame_times."
+            .to_owned(),
     })
 }
 

@@ -326,6 +326,13 @@ fn a_robot_that_moves_is_calibrated_by_its_clock() {
     assert!(error.norm() < 1e-3, "{error}");
     let codes: Vec<&str> = found.outcome.findings.iter().map(|finding| finding.code.as_str()).collect();
     assert!(codes.contains(&"clock-offset") && !codes.contains(&"robot-poses-read"), "{codes:?}");
+    assert!(!codes.contains(&"robot-unpaired"), "{codes:?}");
+    // Frames that have not been given a pose yet, a fifth of them without a time.
+    let robot = job.robot.as_mut().unwrap();
+    robot.frame_times_s[..48].fill(None);
+    let unpaired = doubts::of_pairs(robot, &job.dataset).unwrap();
+    assert!(unpaired.message.contains(" 48 have no time"), "{}", unpaired.message);
+    assert_eq!(unpaired.severity, boresight_data::Severity::Caution, "{unpaired:?}");
 }
 
 /// Returns the recorded robots beside the project, or none where they are absent.
