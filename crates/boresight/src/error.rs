@@ -166,6 +166,12 @@ pub enum Error {
         /// Which reading of the poses fits better, if one does.
         finding: Option<Box<boresight_data::Finding>>,
     },
+    /// The robot's poses are those of a mirror image of the cell.
+    #[error("the robot's poses go with what camera {camera} saw only if the camera is mirrored")]
+    MirroredPoses {
+        /// The camera's name.
+        camera: String,
+    },
     /// No closed form places rig and target on the robot.
     #[error("no closed form places camera and target on the robot from {poses} poses")]
     NoClosedForm {
@@ -250,6 +256,7 @@ impl Error {
             Error::Degenerate(_)
             | Error::NoClosedForm { .. }
             | Error::PosesMisfit { .. }
+            | Error::MirroredPoses { .. }
             | Error::PoseFit(_)
             | Error::Joints(_)
             | Error::Cancelled => ErrorKind::Solve,
@@ -290,6 +297,9 @@ impl Error {
                          `boresight robot poses` tries all conventions"
                     .to_owned(),
             }),
+            Error::MirroredPoses { .. } => text(
+                "robots have right-handed frames: is the sign of an axis or of an angle wrong, or are two columns exchanged?",
+            ),
             Error::Unpaired { .. } => {
                 text("give each row of both a time (column time_s), or as many rows of one as of the other")
             }

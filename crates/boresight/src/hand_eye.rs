@@ -25,7 +25,8 @@ use boresight_adjust::{
     TipKnowledge, adjust, estimate_robot_noise, leave_one_out, optimize,
 };
 use boresight_data::{
-    Calibration, Dataset, Finding, FrameId, Id as _, Mounting, RejectionReason, Robot, Scene, TargetId,
+    Calibration, CameraId, Dataset, Finding, FrameId, Id as _, Mounting, RejectionReason, Robot, Scene,
+    TargetId,
 };
 use boresight_geometry::{Pose, Vector3};
 use boresight_io::{Job, RobotAxes, TouchInput};
@@ -143,8 +144,7 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
         });
     }
     let misread = readings.finding.filter(|_| robot.axes == RobotAxes::Six);
-    let mut findings =
-        check_motions(&poses, robot.axes).map_err(|why| or_misread(why, misread.as_ref()))?;
+    let mut findings = check_motions(&poses, robot.axes).map_err(|why| or_misread(why, misread.as_ref()))?;
     findings.extend(misread.clone());
     findings.extend(doubts::of_pairs(robot, &dataset));
     findings.extend(moving.iter().flat_map(|moving| moving.findings.clone()));
@@ -209,8 +209,7 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
         NoiseChoice::Estimated => {
             let start =
                 RobotNoise { rotation_rad: 1e-3 / factor, translation_m: 1e-3 / factor, stretch: None };
-            let noise =
-                estimate_robot_noise(&dataset, &with_first_lenses, start, &exact).map_err(failed)?;
+            let noise = estimate_robot_noise(&dataset, &with_first_lenses, start, &exact).map_err(failed)?;
             if let Some(plain) = &noise {
                 let with = AdjustOptions { robot_noise: Some(plain.relative), ..exact.clone() };
                 offer(NOISE_ESTIMATED, with, &plain.scene)?;
@@ -242,8 +241,10 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     let needed = stretched.filter(is_needed);
     let chosen = needed.unwrap_or(plain);
     let Candidate { options: chosen_options, start, held_out } = &candidates[chosen];
-    let mut calibration =
-        adjust(&dataset, start, chosen_options, watch.observer.clone()).map_err(failed)?;
+    let mut calibration = adjust(&dataset, start, chosen_options, watch.observer.clone()).map_err(failed)?;
+    if let Some(camera) = mirrored(&dataset, &first.calibration.scene, &calibration.scene) {
+        return Err(Error::MirroredPoses { camera: camera.to_owned() });
+    }
     let without_stretch = match needed {
         None => None,
         Some(_) => {
@@ -333,11 +334,22 @@ fn not_fitted(why: boresight_adjust::Error, misread: Option<&Finding>) -> Error 
 fn or_misread(why: Error, misread: Option<&Finding>) -> Error {
     match (why, misread) {
         (Error::Degenerate(mut refused), Some(misread)) => {
-            refused.fix = format!("{} Or they are misread: {}. {}", refused.fix, misread.message, misread.fix);
+            refused.fix =
+                format!("{} Or they are misread: {}. {}", refused.fix, misread.message, misread.fix);
             Error::Degenerate(refused)
         }
         (why, _) => why,
     }
+}
+
+/// Returns the first camera that an adjustment turned into its mirror image, by the signs of its focal lengths.
+fn mirrored<'a>(dataset: &'a Dataset, before: &Scene, after: &Scene) -> Option<&'a str> {
+    let is_turned = |scene: &Scene, camera: CameraId| {
+        // Every lens model begins with fx and fy.
+        scene.rig.cameras[camera].as_ref().map(|found| found.camera.params[0] * found.camera.params[1] < 0.0)
+    };
+    let changes = |camera: CameraId| is_turned(before, camera) != is_turned(after, camera);
+    dataset.cameras.enumerate().find(|(camera, _)| changes(*camera)).map(|(_, info)| info.name.as_str())
 }
 
 /// Returns touches for an adjustment whose residuals are in units of the pixels' stated sigmas.

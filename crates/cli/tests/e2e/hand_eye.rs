@@ -158,6 +158,30 @@ fn poses_of_other_frames_are_no_good_result() {
 }
 
 #[test]
+fn a_left_handed_robot_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = "robot-hand-eye-on-flange";
+    let table = std::fs::read_to_string(dataset(&format!("{name}/poses.csv"))).unwrap();
+    let mut lines = table.lines();
+    let header = lines.next().unwrap().to_owned();
+    let columns: Vec<&str> = header.split(',').collect();
+    // The mirror image of all poses in the plane of x and z.
+    let mirrored = lines.map(|line| {
+        let fields = line.split(',').zip(&columns).map(|(field, column)| match *column {
+            "y_m" | "qx" | "qz" => (-field.parse::<f64>().unwrap()).to_string(),
+            _ => field.to_owned(),
+        });
+        fields.collect::<Vec<String>>().join(",")
+    });
+    let text = [header.clone()].into_iter().chain(mirrored).collect::<Vec<String>>().join("\n");
+    std::fs::write(folder.path().join("poses.csv"), text + "\n").unwrap();
+    let run = boresight(folder.path(), &["robot", "hand-eye", &dataset(name), "--poses", "poses.csv"]);
+    assert_eq!(run.code, Some(4), "{}", run.stderr);
+    assert!(run.stderr.contains("only if the camera is mirrored"), "{}", run.stderr);
+    assert!(run.stdout.is_empty() && !folder.path().join("out").exists(), "{}", run.stderr);
+}
+
+#[test]
 fn frames_without_a_pose_are_told() {
     let folder = tempfile::tempdir().unwrap();
     let name = "robot-hand-eye-fixed";

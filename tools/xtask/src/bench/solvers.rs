@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-
 use crate::bench::problems::Problem;
 use crate::process::{command, example, reference_environment, run, succeeds, target};
 
