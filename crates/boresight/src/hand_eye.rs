@@ -29,7 +29,7 @@ use boresight_data::{
     TargetId,
 };
 use boresight_geometry::{Pose, Vector3};
-use boresight_io::{Job, RobotAxes, TouchInput};
+use boresight_io::{Job, RobotAxes, RobotInput, TouchInput};
 use boresight_seed::hand_eye::{HandEye, Method, PosePair, hand_eye as closed_form, pose_pair};
 use boresight_validate::verdict;
 
@@ -166,7 +166,7 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
 
     let mut exact =
         AdjustOptions { rejection: Rejection::None, cancel: watch.cancel.clone(), ..first.adjust.clone() };
-    if robot.axes == RobotAxes::Four {
+    if robot.axes == RobotAxes::Four && !is_height_touched(robot) {
         exact.holds.push(Hold::BaseHeight);
     }
     let factor = first.calibration.uncertainty.noise_factor.max(1e-9);
@@ -279,7 +279,7 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     findings.extend(doubts::of_misfit(&methods[n_closed + chosen], &frames, noise.as_ref()));
     findings.extend(doubts::of_noise(&methods, noise.as_ref(), is_noise_used));
     findings.extend(doubts::of_frames(&dataset, held_out));
-    findings.extend(doubts::of_height(robot.axes, robot.height_m));
+    findings.extend(doubts::of_height(robot.axes, robot.height_m).filter(|_| !is_height_touched(robot)));
     findings.extend(doubts::of_stretch(&calibration, without_stretch.as_ref()));
     // Of the cameras it is their own calibration that tells; here residuals have the robot's errors in them.
     findings.extend(first.findings.iter().cloned());
@@ -350,6 +350,12 @@ fn mirrored<'a>(dataset: &'a Dataset, before: &Scene, after: &Scene) -> Option<&
     };
     let changes = |camera: CameraId| is_turned(before, camera) != is_turned(after, camera);
     dataset.cameras.enumerate().find(|(camera, _)| changes(*camera)).map(|(_, info)| info.name.as_str())
+}
+
+/// Tells whether touches with a known tip tell the height that a four-axis robot leaves open, and nothing else does.
+fn is_height_touched(robot: &RobotInput) -> bool {
+    let is_tip_known = |touches: &TouchInput| touches.tip_m.is_some() && !touches.points.is_empty();
+    robot.height_m.is_none() && robot.touches.as_ref().is_some_and(is_tip_known)
 }
 
 /// Returns touches for an adjustment whose residuals are in units of the pixels' stated sigmas.

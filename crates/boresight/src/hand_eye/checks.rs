@@ -180,8 +180,8 @@ pub const ROBOT_CODES: &[(&str, &str)] = &[
         "What it means: a robot that turns about its vertical axis only cannot tell how high the camera, or the target,\n\
          is: raising both changes no picture. The height was not given and is taken as zero.\n\n\
          Why it matters: positions across the axis are right, heights are off by a constant.\n\n\
-         How to fix it: touch the target with the tool, or measure its height above the base's origin, and write\n\
-         height_m in [robot].",
+         How to fix it: touch points of the target with a tip that is known, and name them as touches with tip_mm in\n\
+         [robot]; or measure the height above the base's origin, and write height_m.",
     ),
     (
         "robot-misfit",

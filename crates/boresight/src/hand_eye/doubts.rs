@@ -235,7 +235,8 @@ pub(super) fn of_height(axes: RobotAxes, height_m: Option<f64>) -> Option<Findin
         message: "the translation along the base's z axis is open and taken as zero".to_owned(),
         measured: None,
         limit: None,
-        fix: "Touch the target or measure its height above the base's origin, and write height_m in [robot]."
+        fix: "Touch points of the target with a tip that is known (touches and tip_mm in [robot]), or measure the height \
+              above the base's origin and write height_m in [robot]."
             .to_owned(),
     })
 }

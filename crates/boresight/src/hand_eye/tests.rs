@@ -256,6 +256,31 @@ fn a_four_axis_robot_is_calibrated_to_its_height() {
 }
 
 #[test]
+fn touches_tell_a_four_axis_robots_height() {
+    let (truth, mut job) = four_axis_recording();
+    let tip = Vector3::new(0.01, -0.02, 0.2);
+    let points: Vec<_> = [0, 9, 34, 70].map(boresight_data::PointId::from_index).into();
+    let target = job.dataset.targets.iter().next().unwrap();
+    let base_from_flange = points.iter().enumerate().map(|(i, &point)| {
+        let down = Pose::from_rodrigues(Vector3::x() * std::f64::consts::PI, Vector3::zeros());
+        let turn = Pose::from_rodrigues(Vector3::z() * (0.5 * i as f64), Vector3::zeros()) * down;
+        Pose::new(turn.rotation, truth.other_from_target * target.drawn_point(point) - turn * tip)
+    });
+    let base_from_flange = base_from_flange.collect();
+    // Pixels are exact to rounding, and touches have their weight beside them.
+    let touches = TouchInput { base_from_flange, points, sigma_m: 1e-11, tip_m: Some(tip.into()) };
+    let robot = job.robot.as_mut().unwrap();
+    (robot.axes, robot.touches) = (RobotAxes::Four, Some(touches));
+    let found = hand_eye(&job, &options(NoiseChoice::None), &Watch::default()).unwrap();
+    let codes: Vec<&str> = found.outcome.findings.iter().map(|finding| finding.code.as_str()).collect();
+    assert!(!codes.contains(&"robot-height-open"), "{codes:?}");
+    let robot = found.outcome.calibration.scene.robot.as_ref().unwrap();
+    let off = robot.carrier_from_rig().translation - truth.carrier_from_rig.translation;
+    let target_off = robot.other_from_target().translation - truth.other_from_target.translation;
+    assert!(off.norm() < 1e-4 && target_off.norm() < 1e-4, "{off} {target_off}");
+}
+
+#[test]
 fn a_robot_that_moves_is_calibrated_by_its_clock() {
     let mut made = simulate(&Recipe { frames: 240, ..Recipe::mono() }, 3);
     let truth = HandEye {
