@@ -143,7 +143,7 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
             finding: readings.finding.map(Box::new),
         });
     }
-    let misread = readings.finding.filter(|_| robot.axes == RobotAxes::Six);
+    let misread = readings.finding;
     let mut findings = check_motions(&poses, robot.axes).map_err(|why| or_misread(why, misread.as_ref()))?;
     findings.extend(misread.clone());
     findings.extend(doubts::of_pairs(robot, &dataset));

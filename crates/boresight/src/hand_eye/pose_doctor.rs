@@ -2,8 +2,8 @@
 
 use boresight_data::{Dataset, Finding, Mounting, PoseRow, Scene, Severity};
 use boresight_geometry::Pose;
-use boresight_io::{Job, RobotInput};
-use boresight_seed::hand_eye::{Reading, RowChange, readings};
+use boresight_io::{Job, RobotAxes, RobotInput};
+use boresight_seed::hand_eye::{Method, Reading, RowChange, readings};
 
 use super::compare::median;
 use super::{corners_of, doubts, without_rejected};
@@ -67,7 +67,11 @@ pub(super) fn pose_readings(robot: &RobotInput, dataset: &Dataset, scene: &Scene
             frames.push(frame.name.clone());
         }
     }
-    let readings = readings(&rows, &seen, &corners_of(dataset));
+    let method = match robot.axes {
+        RobotAxes::Six => Method::Park,
+        RobotAxes::Four => Method::FourAxis,
+    };
+    let readings = readings(&rows, &seen, &corners_of(dataset), method);
     let stated = robot.mounting.and_then(|mounting| {
         let stated =
             Reading { convention: robot.convention, mounting, change: RowChange::None, held_out_m: 0.0 };

@@ -281,6 +281,23 @@ fn touches_tell_a_four_axis_robots_height() {
 }
 
 #[test]
+fn a_four_axis_robots_poses_are_read_in_all_conventions() {
+    let (_, mut job) = four_axis_recording();
+    let robot = job.robot.as_mut().unwrap();
+    robot.axes = RobotAxes::Four;
+    let good = read_poses(&job, &CalibrateOptions::default()).unwrap();
+    assert!(good.finding.is_none() && good.stated.is_some(), "{:?}", good.finding);
+    // Millimetres that are stated as metres.
+    for row in &mut job.robot.as_mut().unwrap().rows {
+        row.position = row.position.map(|metres| 1e3 * metres);
+    }
+    let read = read_poses(&job, &CalibrateOptions::default()).unwrap();
+    let best = &read.readings[0];
+    assert_eq!((best.convention.length, best.mounting), (LengthUnit::Millimetres, Mounting::RigOnFlange));
+    assert!(read.finding.is_some(), "{:?}", &read.readings[..2]);
+}
+
+#[test]
 fn a_robot_that_moves_is_calibrated_by_its_clock() {
     let mut made = simulate(&Recipe { frames: 240, ..Recipe::mono() }, 3);
     let truth = HandEye {

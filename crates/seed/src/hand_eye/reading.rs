@@ -72,7 +72,7 @@ impl Reading {
     }
 }
 
-/// Tries all readings of the rows, one for each frame, and returns them with the best first.
+/// Tries all readings of the rows, one for each frame, and returns them with the best first, by a closed form.
 ///
 /// Of two twins the one is listed whose shorter offset is on the flange. `points_in_target` are where misfits
 /// are measured. Readings by which no row is a pose, or that determine nothing, are not listed.
@@ -80,9 +80,10 @@ pub fn readings(
     rows: &[&PoseRow],
     rig_from_target: &[Pose],
     points_in_target: &[Vector3<f64>],
+    method: Method,
 ) -> Vec<Reading> {
     let Some(first) = rows.first() else { return Vec::new() };
-    let case = Case { rig_from_target, points_in_target };
+    let case = Case { rig_from_target, points_in_target, method };
     let mut found = Vec::new();
     for rotation in RotationKind::all_of(first.rotation.len()) {
         let angles: &[AngleUnit] = if rotation.has_angles() {
@@ -153,6 +154,7 @@ fn sort(readings: &mut [Reading]) {
 struct Case<'a> {
     rig_from_target: &'a [Pose],
     points_in_target: &'a [Vector3<f64>],
+    method: Method,
 }
 
 impl Case<'_> {
@@ -166,7 +168,7 @@ impl Case<'_> {
         let (square, found) = self.held_out(&pairs, FOLDS)?;
         let held_out_m = (square / pairs.len() as f64).sqrt();
         let reading = Reading { convention, mounting, change: RowChange::None, held_out_m };
-        Some(likelier_twin(reading, &found))
+        Some(self.likelier_twin(reading, &found))
     }
 
     /// Returns the sum over frames of the squared misfits when they are left out, and the solution of all.
@@ -177,11 +179,11 @@ impl Case<'_> {
             let out: Vec<PosePair> = pairs.iter().enumerate().filter_map(in_fold).collect();
             let others: Vec<PosePair> =
                 pairs.iter().enumerate().filter(|(i, _)| i % folds != fold).map(|(_, pair)| *pair).collect();
-            let found = hand_eye(&others, Method::Park)?;
+            let found = hand_eye(&others, self.method)?;
             square +=
                 out.iter().map(|pair| found.distance_m(pair, self.points_in_target).powi(2)).sum::<f64>();
         }
-        Some((square, hand_eye(pairs, Method::Park)?))
+        Some((square, hand_eye(pairs, self.method)?))
     }
 
     /// Tries rows that belong to the frame `by` places later.
@@ -199,7 +201,7 @@ impl Case<'_> {
         let (square, found) = self.held_out(&pairs, FOLDS)?;
         let held_out_m = (square / kept as f64).sqrt();
         let change = RowChange::Shifted(by.signum());
-        Some(likelier_twin(Reading { convention, mounting, change, held_out_m }, &found))
+        Some(self.likelier_twin(Reading { convention, mounting, change, held_out_m }, &found))
     }
 
     /// Tries every frame as the first with another tool.
@@ -225,20 +227,24 @@ impl Case<'_> {
         }
         let (square, split, found) = best?;
         let held_out_m = (square / n as f64).sqrt();
-        Some(likelier_twin(
+        Some(self.likelier_twin(
             Reading { convention, mounting, change: RowChange::ToolFrom(split), held_out_m },
             &found,
         ))
     }
-}
 
-/// Returns the reading or its twin: what is on the flange is nearer to it than what is in the base is to that.
-fn likelier_twin(reading: Reading, found: &HandEye) -> Reading {
-    let (rig, target) =
-        (found.carrier_from_rig.translation.norm(), found.other_from_target.translation.norm());
-    let is_likely = match reading.mounting {
-        Mounting::RigOnFlange => rig <= target,
-        Mounting::RigInBase => target <= rig,
-    };
-    if is_likely { reading } else { reading.twin() }
+    /// Returns the reading or its twin: what is on the flange is nearer to it than what is in the base is to that.
+    fn likelier_twin(&self, reading: Reading, found: &HandEye) -> Reading {
+        let distance = |pose: &Pose| match self.method {
+            // The height, along z, is open.
+            Method::FourAxis => pose.translation.xy().norm(),
+            _ => pose.translation.norm(),
+        };
+        let (rig, target) = (distance(&found.carrier_from_rig), distance(&found.other_from_target));
+        let is_likely = match reading.mounting {
+            Mounting::RigOnFlange => rig <= target,
+            Mounting::RigInBase => target <= rig,
+        };
+        if is_likely { reading } else { reading.twin() }
+    }
 }
