@@ -126,6 +126,9 @@ pub(crate) fn mounting(word: &str, place: &Place) -> Result<Mounting, Error> {
     }
 }
 
+/// The farthest from a base or a flange that anything is, in metres: more are millimetres.
+const FARTHEST_M: f64 = 20.0;
+
 /// The files that were read, with their hashes.
 type Hashes = Vec<(String, String)>;
 
@@ -187,6 +190,15 @@ pub(crate) fn load_robot(
             ));
         }
     };
+    let is_far = |metres: f64| metres.is_nan() || metres.abs() > FARTHEST_M;
+    if let Some(height_m) = table.height_m.filter(|height_m| is_far(*height_m)) {
+        let message = format!("height_m is {height_m}: it must be -{FARTHEST_M} to {FARTHEST_M}");
+        return Err(config(message, "write the height in metres, such as height_m = 0.012"));
+    }
+    if let Some(tip_mm) = table.tip_mm.filter(|tip_mm| tip_mm.iter().any(|mm| is_far(1e-3 * mm))) {
+        let message = format!("tip_mm is {tip_mm:?}: a tip is within {FARTHEST_M} m");
+        return Err(config(message, "write the tip in millimetres, such as tip_mm = [0.0, 0.0, 150.0]"));
+    }
     let mounting = match overrides.mounting {
         Some(mounting) => Some(mounting),
         None => table.mount.as_ref().map(|word| mounting(word, place)).transpose()?,
@@ -311,6 +323,14 @@ pub(crate) fn frame_times(
             need: "it must be a number of seconds".to_owned(),
         })?;
         if let Some(known) = dataset.frames.iter().position(|known| known.name == row[frame]) {
+            if times_s[known].is_some() {
+                return Err(Error::BadValue {
+                    place: Place::line(file, i + 1),
+                    column: "frame".to_owned(),
+                    value: row[frame].clone(),
+                    need: "a frame has one time, and this one has had it".to_owned(),
+                });
+            }
             times_s[known] = Some(time_s);
         }
     }

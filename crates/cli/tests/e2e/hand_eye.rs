@@ -1,6 +1,7 @@
 //! `boresight robot hand-eye` and `boresight robot poses` on the committed synthetic robots.
 
 use std::fmt::Write as _;
+use std::path::PathBuf;
 
 use crate::{boresight, dataset};
 
@@ -191,6 +192,26 @@ fn frames_without_a_pose_are_told() {
     assert_eq!(run.code, Some(0), "{}", run.stderr);
     for part in ["note[robot-unpaired]", "1 of 24 frames", "such as frame003", "such as frame3)"] {
         assert!(run.stderr.contains(part), "`{part}` is not in: {}", run.stderr);
+    }
+}
+
+#[test]
+fn a_height_and_a_tip_that_cannot_be_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let source = PathBuf::from(dataset("robot-hand-eye-fixed"));
+    for name in ["corners.csv", "poses.csv"] {
+        std::fs::copy(source.join(name), folder.path().join(name)).unwrap();
+    }
+    let job = std::fs::read_to_string(source.join("boresight.toml")).unwrap();
+    for (line, part) in [
+        ("axes = 4\nheight_m = 30.0", "height_m is 30"),
+        ("axes = 4\nheight_m = nan", "height_m is NaN"),
+        ("tip_mm = [0.0, nan, 150.0]", "tip_mm is [0.0, NaN, 150.0]"),
+    ] {
+        std::fs::write(folder.path().join("boresight.toml"), format!("{job}\n{line}\n")).unwrap();
+        let run = boresight(folder.path(), &["robot", "hand-eye", "."]);
+        assert_eq!(run.code, Some(2), "{line}: {}", run.stderr);
+        assert!(run.stderr.contains(part) && run.stderr.contains("hint: write"), "{line}: {}", run.stderr);
     }
 }
 
