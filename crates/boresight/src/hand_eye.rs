@@ -192,9 +192,12 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     with_first_lenses.rig = first.calibration.scene.rig.clone();
     offer("adjusted, lenses held", held, &with_first_lenses)?;
     let mut noises: [Option<EstimatedNoise>; 2] = [None, None];
+    // What touches are judged by.
+    let mut noise_of_frames = None;
     match options.noise {
         NoiseChoice::None => {}
         NoiseChoice::Known(noise) => {
+            noise_of_frames = Some(noise);
             let relative = RobotNoise {
                 rotation_rad: noise.rotation_rad / factor,
                 translation_m: noise.translation_m / factor,
@@ -210,6 +213,16 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
             let start =
                 RobotNoise { rotation_rad: 1e-3 / factor, translation_m: 1e-3 / factor, stretch: None };
             let noise = estimate_robot_noise(&dataset, &with_first_lenses, start, &exact).map_err(failed)?;
+            if exact.robot_touches.is_some() {
+                // Touches of something else would make the robot's noise so large that it explains them.
+                let mut frames_alone = AdjustOptions { robot_touches: None, ..exact.clone() };
+                if robot.axes == RobotAxes::Four && !frames_alone.holds.contains(&Hold::BaseHeight) {
+                    frames_alone.holds.push(Hold::BaseHeight);
+                }
+                let found = estimate_robot_noise(&dataset, &with_first_lenses, start, &frames_alone)
+                    .map_err(failed)?;
+                noise_of_frames = found.map(|found| found.noise);
+            }
             if let Some(plain) = &noise {
                 let with = AdjustOptions { robot_noise: Some(plain.relative), ..exact.clone() };
                 offer(NOISE_ESTIMATED, with, &plain.scene)?;
@@ -266,15 +279,13 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     let is_noise_used = chosen_options.robot_noise.is_some();
     let working_points =
         working_points::working_points(&dataset, &calibration, mounting, &jackknife, is_noise_used);
-    let robot_noise = match options.noise {
-        NoiseChoice::Known(noise) => Some(noise),
-        // The robot is off by it, whether or not the answer is the better for it.
-        _ => noise.as_ref().map(|noise| noise.noise),
-    };
-    let touched = robot
-        .touches
-        .as_ref()
-        .and_then(|touches| touched::touched_points(touches, &dataset, &calibration, robot_noise));
+    // Where the robot's word is taken as exact although it is not, the covariance knows nothing of its errors.
+    let is_tip_sigma_told = is_noise_used || options.noise == NoiseChoice::None;
+    let touched = robot.touches.as_ref().and_then(|touches| {
+        let touched = touched::touched_points(touches, &dataset, &calibration, noise_of_frames)?;
+        let tip_sigma_m = touched.tip_sigma_m.filter(|_| is_tip_sigma_told);
+        Some(TouchedPoints { tip_sigma_m, ..touched })
+    });
     findings.extend(touched.as_ref().and_then(touched::doubt));
     findings.extend(doubts::of_misfit(&methods[n_closed + chosen], &frames, noise.as_ref()));
     findings.extend(doubts::of_noise(&methods, noise.as_ref(), is_noise_used));

@@ -542,3 +542,42 @@ fn touches_of_a_job_tell_the_tip() {
     assert_eq!(off.severity, boresight_data::Severity::Fail, "{off:?}");
     assert_eq!(found.touched.unwrap().tip_sigma_m, None);
 }
+
+#[test]
+fn touches_of_other_points_are_told_for_both_mounts() {
+    for recipe in [RobotRecipe::on_flange(), RobotRecipe::fixed()] {
+        let recipe = RobotRecipe { rotation_rad: 1e-4, translation_m: 1e-4, ..recipe };
+        let mut made = simulate(&Recipe { frames: 8, ..Recipe::mono() }, 4);
+        add_robot(&mut made, &recipe, 9);
+        let mut job = job_of(&made, Some(recipe.mounting));
+        let tip = Vector3::new(0.02, -0.01, 0.15);
+        let target = made.dataset.targets.iter().next().unwrap();
+        let shape_m = &made.truth.targets.iter().next().unwrap().shape_m;
+        let mut points: Vec<_> = (0..6).map(|i| boresight_data::PointId::from_index(7 * i)).collect();
+        let base_from_flange = points.iter().enumerate().map(|(i, &point)| {
+            let turn = Pose::from_rodrigues(Vector3::new(2.0, 0.4 * i as f64, 0.5), Vector3::zeros());
+            let point_in_other = recipe.other_from_target * target.point(point, shape_m);
+            let other_from_carrier = Pose::new(turn.rotation, point_in_other - turn * tip);
+            match recipe.mounting {
+                Mounting::RigOnFlange => other_from_carrier,
+                Mounting::RigInBase => other_from_carrier.inverse(),
+            }
+        });
+        let base_from_flange: Vec<Pose> = base_from_flange.collect();
+        for is_other in [false, true] {
+            if is_other {
+                // The neighbour of the last point, 50 mm away.
+                points[5] = boresight_data::PointId::from_index(36);
+            }
+            let (base_from_flange, points) = (base_from_flange.clone(), points.clone());
+            let touches = TouchInput { base_from_flange, points, sigma_m: 1e-4, tip_m: None };
+            job.robot.as_mut().unwrap().touches = Some(touches);
+            let found = hand_eye(&job, &options(NoiseChoice::Estimated), &Watch::default()).unwrap();
+            let codes: Vec<&str> =
+                found.outcome.findings.iter().map(|finding| finding.code.as_str()).collect();
+            assert_eq!(codes.contains(&"touches-off"), is_other, "{:?}: {codes:?}", recipe.mounting);
+            let error_m = (Vector3::from(found.touched.unwrap().tip_m) - tip).norm();
+            assert!(is_other || error_m < 2e-3, "{:?}: {error_m}", recipe.mounting);
+        }
+    }
+}

@@ -27,7 +27,7 @@ pub struct TouchedPoints {
     pub expected_m: f64,
 }
 
-/// Returns what touches say of a calibration; `None` if it has no robot.
+/// Returns what touches say of a calibration; `None` if it has no robot. `noise` is what the robot's frames tell of it.
 pub(super) fn touched_points(
     touches: &TouchInput,
     dataset: &Dataset,
