@@ -51,6 +51,17 @@ pub(crate) fn run(arguments: &StereoArguments) -> Result<ExitCode, Failure> {
         Stereo::of_cameras(&rig, &arguments.cameras)?
     } else {
         let poses: Vec<Pose> = arguments.moved.iter().map(|text| pose(text)).collect::<Result<_, _>>()?;
+        if arguments.cameras.len() > 1 {
+            let names = arguments.cameras.join(",");
+            let message = format!("--moved is of one camera, and --cameras names {names}");
+            return Err(Failure::new(Reason::Usage, message).with_hint("name the one that was moved"));
+        }
+        if poses.iter().all(|pose| pose.translation.norm() == 0.0) {
+            let message = "--moved leaves the camera where it was: depth needs a distance between its places";
+            let hint =
+                "after the rotation, write tx,ty,tz in metres that lead from its first place to the other";
+            return Err(Failure::new(Reason::Usage, message).with_hint(hint));
+        }
         Stereo::of_moved_camera(&rig, arguments.cameras.first().map(String::as_str), &poses)?
     };
     let n = stereo.names().len();

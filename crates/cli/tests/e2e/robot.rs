@@ -257,6 +257,15 @@ fn stereo_finds_points_with_sigmas() {
         boresight_with_input(folder.path(), &flags, &format!("{} {}", first.trim(), second.trim())).good();
     let depth: f64 = found.lines().nth(1).unwrap().split(' ').nth(2).unwrap().parse().unwrap();
     assert!((depth - 1.0).abs() < 1e-8, "{found}");
+    for (cameras, moved, part) in [
+        ("left,right", "0,0,0,-0.1,0,0", "--moved is of one camera"),
+        ("left", "0,0.1,0,0,0,0", "leaves the camera where it was"),
+    ] {
+        let flags = ["stereo", "out", "--cameras", cameras, "--moved", moved];
+        let refused = boresight_with_input(folder.path(), &flags, "300 200 260 212\n");
+        assert_eq!(refused.code, Some(2), "{}", refused.stderr);
+        assert!(refused.stderr.contains(part), "{}", refused.stderr);
+    }
     let bad = boresight_with_input(folder.path(), &["stereo", "out"], "1 2 3\n");
     assert!(bad.code == Some(3) && bad.stderr.contains("4 are needed"), "{}", bad.stderr);
     let swapped = pairs[0].split(' ').collect::<Vec<_>>();
