@@ -1,6 +1,6 @@
 //! The convention doctor for poses: all readings of a table, tried on the data. Never applied, only told.
 
-use boresight_data::{Dataset, Finding, Mounting, PoseRow, Scene, Severity};
+use boresight_data::{Dataset, Finding, Mounting, PoseConvention, PoseRow, Scene, Severity};
 use boresight_geometry::Pose;
 use boresight_io::{Job, RobotAxes, RobotInput};
 use boresight_seed::hand_eye::{Method, Reading, RowChange, readings};
@@ -124,11 +124,26 @@ fn finding(
         measured: ratio.is_finite().then_some(ratio),
         limit: Some(BETTER_READING),
         fix: format!(
-            "Check this against the robot's manual, then state it: --poses-as {} --mount {}.",
+            "Check this against the robot's manual, then state it: --poses-as {} --mount {}.{}",
             best.convention,
-            mount(best.mounting)
+            mount(best.mounting),
+            of_header(&best.convention, &robot.convention)
         ),
     })
+}
+
+/// Says that the names of columns count, where a reading differs from the stated one in what these may say.
+fn of_header(best: &PoseConvention, stated: &PoseConvention) -> &'static str {
+    let has_angles = best.rotation.has_angles();
+    let is_as_named = best.length == stated.length
+        && (!has_angles || best.angle == stated.angle)
+        && (has_angles || best.rotation == stated.rotation);
+    match is_as_named {
+        true => "",
+        false => {
+            " Where the table has a header, its names count before that: mend those that say otherwise, such as x_m for x_mm."
+        }
+    }
 }
 
 /// Returns the word for a mount.

@@ -274,6 +274,12 @@ fn the_doctor_names_the_convention() {
     let bad = boresight(folder.path(), &["robot", "poses", &fixed, "--poses-as", "fanuc-wpr"]);
     assert_eq!(bad.code, Some(1), "{}", bad.stderr);
     assert!(bad.stderr.contains("kuka-abc") && bad.stderr.contains("times better"), "{}", bad.stderr);
+    // A header that says metres of millimetres counts before what is stated, and is named.
+    let table = std::fs::read_to_string(dataset("robot-hand-eye-fixed/poses.csv")).unwrap();
+    std::fs::write(folder.path().join("poses.csv"), table.replace("_mm", "_m")).unwrap();
+    let bad = boresight(folder.path(), &["robot", "poses", &fixed, "--poses", "poses.csv"]);
+    assert_eq!(bad.code, Some(1), "{}", bad.stderr);
+    assert!(bad.stderr.contains("kuka-abc") && bad.stderr.contains("x_m for x_mm"), "{}", bad.stderr);
     let none = boresight(folder.path(), &["robot", "hand-eye", &dataset("opencv-stereo")]);
     assert_eq!(none.code, Some(2), "{}", none.stderr);
     assert!(none.stderr.contains("no table of robot poses"), "{}", none.stderr);
