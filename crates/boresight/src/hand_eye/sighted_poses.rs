@@ -315,12 +315,21 @@ fn finding(code: &str, severity: Severity, message: String, measured: f64, limit
 }
 
 fn too_short(robot: &[TimedPose], sights: &[TimedPose]) -> Finding {
+    let span_s = |rows: &[TimedPose]| {
+        let times = || rows.iter().filter_map(|row| row.time_s);
+        let (first, last) =
+            (times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max));
+        (last - first).max(0.0)
+    };
+    let (robot_s, sights_s) = (span_s(robot), span_s(sights));
     let message = format!(
-        "{} poses and {} sights with times are too few to tell how far the clocks are apart",
+        "{} poses over {robot_s:.2} s and {} sights over {sights_s:.2} s are too few, or overlap too little, to tell how \
+         far the clocks are apart",
         robot.len(),
         sights.len()
     );
-    let fix = "Record both for 20 s or more while the robot turns about changing axes, or leave the times out and pair rows.";
+    let fix = "Record both for 20 s or more while the robot turns about changing axes, with times in seconds, or leave the \
+               times out and pair rows.";
     finding("clock-offset-unclear", Severity::Fail, message, sights.len() as f64, 32.0, fix)
 }
 
