@@ -114,10 +114,16 @@ pub(crate) fn read_records<R: Read + Seek>(file: R, listener: &mut dyn Listener)
         if is_needed && (next.is_some() || kind == op::CHUNK) {
             // A chunk that is longer than the file is no longer than the place of the next one allows.
             let next = next.or_else(later);
-            if let Some(next) = next {
-                prefix[1..].copy_from_slice(&(next - at - PREFIX).to_le_bytes());
+            let room = next.unwrap_or(end) - at - PREFIX;
+            let head = if kind == op::CHUNK { read_chunk_head(&mut file, room)? } else { Vec::new() };
+            // What a chunk has behind its records is not needed, and a record in it that is longer than the chunk finds its
+            // end there.
+            let length = chunk_length(&head).map_or(room, |length| length.min(room));
+            if next.is_some() || length < room {
+                prefix[1..].copy_from_slice(&length.to_le_bytes());
             }
-            let mut record = (&prefix[..]).chain((&mut file).take(next.unwrap_or(end) - at - PREFIX));
+            let rest = (&mut file).take(length - head.len() as u64);
+            let mut record = (&prefix[..]).chain(&head[..]).chain(rest);
             match read_record(&mut record, at, listener)? {
                 Ok(ControlFlow::Continue(())) => {}
                 Ok(ControlFlow::Break(())) => break,
@@ -146,6 +152,36 @@ pub(crate) fn read_records<R: Read + Seek>(file: R, listener: &mut dyn Listener)
         };
     }
     Ok(damages)
+}
+
+/// The length of what a chunk begins with: its times, the size of its records and their checksum, and the length of the name of
+/// the way in which they are packed.
+const CHUNK_START: usize = 8 + 8 + 8 + 4 + 4;
+/// Names of ways to pack are no longer than this.
+const LONGEST_NAME: usize = 64;
+
+/// Reads what a chunk begins with up to its records, as far as `room` goes.
+fn read_chunk_head(file: &mut impl Read, room: u64) -> io::Result<Vec<u8>> {
+    let mut head = Vec::new();
+    file.by_ref().take(room.min(CHUNK_START as u64)).read_to_end(&mut head)?;
+    if let Some(name) = length_of_name(&head) {
+        let rest = (room - head.len() as u64).min((name + 8) as u64);
+        file.by_ref().take(rest).read_to_end(&mut head)?;
+    }
+    Ok(head)
+}
+
+/// Returns the length of the name of the way in which a chunk is packed; `None` where that cannot be one.
+fn length_of_name(head: &[u8]) -> Option<usize> {
+    let name = u32::from_le_bytes(head.get(CHUNK_START - 4..CHUNK_START)?.try_into().ok()?) as usize;
+    (name <= LONGEST_NAME).then_some(name)
+}
+
+/// Returns the length of a chunk as its head has it; `None` where that is not there.
+fn chunk_length(head: &[u8]) -> Option<u64> {
+    let records = CHUNK_START + length_of_name(head)?;
+    let packed = u64::from_le_bytes(head.get(records..records + 8)?.try_into().ok()?);
+    (head.len() as u64).checked_add(packed)
 }
 
 /// Tells of the schemas and channels in a file's summary, and returns how many messages each channel has; `None` where the

@@ -505,6 +505,21 @@ fn an_image_that_states_too_much_costs_nothing() {
     assert!(messages.iter().any(|message| message.contains("30000x30000")), "{messages:?}");
 }
 
+#[test]
+fn any_byte_may_be_another() {
+    for packing in [Packing::Stored, Packing::Zstd, Packing::Lz4] {
+        let bytes = recording(2, [8, 6], packing);
+        for at in 8..bytes.len() {
+            for byte in [0, 0x7f, 0xff] {
+                let mut bytes = bytes.clone();
+                bytes[at] = byte;
+                let (_, images) = read(&[&bytes]).unwrap();
+                assert!(images.len() <= 400, "{packing:?}, byte {at} is {byte}");
+            }
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(96))]
 
