@@ -9,6 +9,7 @@ mod checks;
 mod compare;
 mod document;
 mod doubts;
+mod held_lenses;
 mod joint_chain;
 mod pose_doctor;
 mod poses_document;
@@ -257,6 +258,11 @@ pub fn hand_eye(job: &Job, options: &HandEyeOptions, watch: &Watch) -> Result<Ha
     let mut calibration = adjust(&dataset, start, chosen_options, watch.observer.clone()).map_err(failed)?;
     if let Some(camera) = mirrored(&dataset, &first.calibration.scene, &calibration.scene) {
         return Err(Error::MirroredPoses { camera: camera.to_owned() });
+    }
+    // Lenses that are held for the robot's sake are not known exactly.
+    if chosen_options.holds.len() > exact.holds.len() {
+        let free = adjust(&dataset, start, &exact, None).map_err(failed)?.uncertainty;
+        held_lenses::carry(&mut calibration, &free, &first.calibration.uncertainty, &dataset);
     }
     let without_stretch = match needed {
         None => None,

@@ -581,3 +581,38 @@ fn touches_of_other_points_are_told_for_both_mounts() {
         }
     }
 }
+
+#[test]
+fn lenses_that_are_held_bring_their_covariance_along() {
+    let made = synthetic(RobotRecipe::on_flange(), Recipe::stereo());
+    let exact = AdjustOptions { rejection: Rejection::None, ..AdjustOptions::default() };
+    let free = adjust(&made.dataset, &made.truth, &exact, None).unwrap();
+    let held = AdjustOptions { holds: made.dataset.cameras.ids().map(Hold::Lens).collect(), ..exact.clone() };
+    let held = adjust(&made.dataset, &free.scene, &held, None).unwrap();
+    // Lenses that are known as well as when they were free give what was known then.
+    let mut same = held.clone();
+    held_lenses::carry(&mut same, &free.uncertainty, &free.uncertainty, &made.dataset);
+    let (found, expected) = (&same.uncertainty, &free.uncertainty);
+    assert_eq!((&found.names, &found.motions.names), (&expected.names, &expected.motions.names));
+    let n = found.names.len();
+    for (i, name) in found.names.iter().enumerate() {
+        let ratio = (found.covariance[i * (n + 1)] / expected.covariance[i * (n + 1)]).sqrt();
+        assert!((ratio - 1.0).abs() < 0.02, "{name}: {ratio}");
+    }
+    let n_all = n + found.motions.names.len();
+    for (i, name) in found.motions.names.iter().enumerate() {
+        let place = i * n_all + n + i;
+        let ratio = (found.motions.covariance[place] / expected.motions.covariance[place]).sqrt();
+        assert!((ratio - 1.0).abs() < 0.02, "{name}: {ratio}");
+    }
+    let baseline = |calibration: &Calibration| calibration.uncertainty.baselines_m["cam1"][1];
+    assert!((baseline(&same) / baseline(&free) - 1.0).abs() < 0.02);
+    assert!(baseline(&held) < 0.95 * baseline(&free), "{} {}", baseline(&held), baseline(&free));
+    // Of lenses that are known ten times worse, all else is known worse.
+    let mut worse = free.uncertainty.clone();
+    worse.covariance.iter_mut().for_each(|entry| *entry *= 100.0);
+    let mut far = held.clone();
+    held_lenses::carry(&mut far, &free.uncertainty, &worse, &made.dataset);
+    let fx = |calibration: &Calibration| crate::sigma_of(calibration, "cam0.fx").unwrap();
+    assert!((fx(&far) / fx(&free) - 10.0).abs() < 1e-6 && baseline(&far) > 2.0 * baseline(&free));
+}
