@@ -2,6 +2,7 @@
 
 use boresight_data::{Dataset, FrameId, Geometry, Scene, View};
 use boresight_geometry::{Pose, Vector3};
+use boresight_solver::Threads;
 
 use crate::adjust::optimize;
 use crate::error::Error;
@@ -36,23 +37,23 @@ pub fn leave_one_out(
     optimum: &Scene,
     options: &AdjustOptions,
 ) -> Result<Vec<HeldOut>, Error> {
-    let mut held_out = Vec::new();
-    for (frame, info) in dataset.frames.enumerate() {
-        let Some(base_from_flange) = info.base_from_flange else { continue };
-        if !dataset.views.iter().any(|view| view.frame == frame) {
-            continue;
-        }
-        let others = without(dataset, frame);
-        let scene = optimize(&others, optimum, options)?.scene;
-        let Some(robot) = &scene.robot else { continue };
+    let told = dataset.frames.enumerate().filter_map(|(frame, info)| Some((frame, info.base_from_flange?)));
+    let seen = told.filter(|(frame, _)| dataset.views.iter().any(|view| view.frame == *frame));
+    let seen: Vec<(FrameId, Pose)> = seen.collect();
+    // Each frame is a solve of its own: threads share out frames.
+    let threads = Threads::new(options.threads, seen.len() * 2 * dataset.observation_count())?;
+    let options = AdjustOptions { threads: 1, ..options.clone() };
+    let foretold = threads.map(seen, |(frame, base_from_flange)| {
+        let scene = optimize(&without(dataset, frame), optimum, &options)?.scene;
+        let Some(robot) = &scene.robot else { return Ok(None) };
         let rig_from_target = robot.rig_from_target(&robot.corrected(&base_from_flange));
         let mut errors = SightErrors::default();
         for view in dataset.views.iter().filter(|view| view.frame == frame) {
             errors.add(sight_errors(dataset, &scene, view, &rig_from_target));
         }
-        held_out.push(HeldOut { frame, scene, errors });
-    }
-    Ok(held_out)
+        Ok(Some(HeldOut { frame, scene, errors }))
+    });
+    foretold.into_iter().filter_map(Result::transpose).collect()
 }
 
 /// Returns the dataset without the views of a frame.

@@ -5,6 +5,7 @@ use boresight_data::{Dataset, Mounting, Scene};
 use boresight_geometry::Vector3;
 use boresight_io::RobotAxes;
 use boresight_seed::hand_eye::{PosePair, hand_eye as closed_form, pose_pair};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{FrameTold, methods_for};
@@ -77,15 +78,16 @@ pub(super) fn closed_forms(
         .map(|told| pose_pair(mounting, &told.base_from_flange, &told.rig_from_target))
         .collect();
     let figures = |method| {
-        let mut errors = SightErrors::default();
-        for (i, told) in frames.iter().enumerate() {
+        let foretold = frames.par_iter().enumerate().map(|(i, told)| {
             let mut others = pairs.clone();
             others.remove(i);
             let rig_from_target = closed_form(&others, method)?.rig_from_target(&pairs[i].other_from_carrier);
-            for view in dataset.views.iter().filter(|view| view.frame == told.frame) {
-                errors.add(sight_errors(dataset, scene, view, &rig_from_target));
-            }
-        }
+            let views = dataset.views.iter().filter(|view| view.frame == told.frame);
+            Some(views.map(|view| sight_errors(dataset, scene, view, &rig_from_target)).collect())
+        });
+        let foretold: Vec<Vec<SightErrors>> = foretold.collect::<Option<_>>()?;
+        let mut errors = SightErrors::default();
+        foretold.into_iter().flatten().for_each(|of_view| errors.add(of_view));
         Figures::of(errors)
     };
     methods_for(axes)
