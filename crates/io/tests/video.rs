@@ -190,7 +190,7 @@ fn frames_after_a_missing_or_broken_one_wait_for_a_keyframe() {
     missing.remove(10);
     let good = [up_to(0..10), up_to(16..FRAMES)].concat();
     let waiting = "no keyframe came since";
-    check(&missing, good.clone(), &[(1, "a frame before it is missing"), (4, waiting)]);
+    check(&missing, good.clone(), &[(1, "it is damaged"), (4, waiting)]);
     let mut cut = numbered(&frames);
     let half = cut[10].1.len() / 2;
     cut[10].1.truncate(half);
