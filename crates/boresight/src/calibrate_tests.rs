@@ -321,7 +321,7 @@ fn the_regularization_of_a_shared_lens_counts_once() {
     };
     // The coefficients of a rational lens are believed to a sigma of 2.
     assert_eq!(claimed("cam0.k4") + claimed("cam1.k4"), 0.25);
-    let share = |name: &str| crate::believed_share(&outcome.calibration, name).unwrap();
+    let share = |name: &str| outcome.calibration.uncertainty.believed_share(name).unwrap();
     assert!(share("cam0.k4") == share("cam1.k4") && share("cam0.k4") > 0.0, "{}", share("cam0.k4"));
     assert_eq!(share("cam0.fx"), 0.0);
 }

@@ -37,19 +37,6 @@ pub fn sigma_of(calibration: &Calibration, parameter: &str) -> Option<f64> {
     uncertainty.covariance.get(i * (uncertainty.names.len() + 1)).map(|variance| variance.sqrt())
 }
 
-/// Returns which share of what is known of a parameter the regularisation claims; `None` if it was not estimated.
-pub fn believed_share(calibration: &Calibration, parameter: &str) -> Option<f64> {
-    let uncertainty = &calibration.uncertainty;
-    let n = uncertainty.names.len();
-    let i = uncertainty.names.iter().position(|name| name == parameter)?;
-    let row = uncertainty.covariance.get(i * n..(i + 1) * n)?;
-    // Of a lens that cameras share the claim stands at one of the names, whose numbers are the same.
-    let is_same = |j: &usize| row[*j] == row[i] && uncertainty.covariance[j * (n + 1)] == row[i];
-    let claims = &uncertainty.regularization_information;
-    let claimed: f64 = (0..claims.len().min(n)).filter(is_same).map(|j| claims[j]).sum();
-    Some(claimed * row[i] / uncertainty.noise_factor.powi(2))
-}
-
 #[cfg(test)]
 mod tests {
     use boresight_io::{JobOverrides, load_job, read_calibration};

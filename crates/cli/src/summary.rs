@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use boresight::{
     Calibration, Camera, CameraFit, CircleLayout, Dataset, Finding, Geometry, HeldOut, Id as _,
-    RejectionReason, RigCamera, Severity, Shape, Target, Verdict, believed_share, sigma_of,
+    RejectionReason, RigCamera, Severity, Shape, Target, Verdict, sigma_of,
 };
 
 use crate::figures::{count, significant, to_sigma, with_sigma};
@@ -175,7 +175,7 @@ fn lenses(calibration: &Calibration) -> Vec<String> {
 fn knots(calibration: &Calibration, name: &str, camera: &Camera) -> Option<String> {
     let grid = camera.model.local_support()?;
     let params = camera.model.param_names().into_iter().skip(4);
-    let shares = params.map(|param| believed_share(calibration, &format!("{name}.{param}")));
+    let shares = params.map(|param| calibration.uncertainty.believed_share(&format!("{name}.{param}")));
     let told = shares.collect::<Option<Vec<f64>>>()?.into_iter().filter(|share| *share < 0.5).count();
     Some(format!(
         "spline  {name}: {} x {} knots along x and y; corners tell {told} of their {} numbers, the others are believed alone;\n        \

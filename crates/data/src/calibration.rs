@@ -128,6 +128,20 @@ pub struct Uncertainty {
     pub loose: Vec<LooseDirection>,
 }
 
+impl Uncertainty {
+    /// Returns which share of what is known of a parameter the regularisation claims; `None` if it was not estimated.
+    pub fn believed_share(&self, parameter: &str) -> Option<f64> {
+        let n = self.names.len();
+        let i = self.names.iter().position(|name| name == parameter)?;
+        let row = self.covariance.get(i * n..(i + 1) * n)?;
+        // Of a lens that cameras share the claim stands at one of the names, whose numbers are the same.
+        let is_same = |j: &usize| row[*j] == row[i] && self.covariance[j * (n + 1)] == row[i];
+        let claims = &self.regularization_information;
+        let claimed: f64 = (0..claims.len().min(n)).filter(is_same).map(|j| claims[j]).sum();
+        Some(claimed * row[i] / self.noise_factor.powi(2))
+    }
+}
+
 /// Motions of frames as wholes, which are linear functions of the poses of all frames; they are known
 /// jointly with the parameters. Each is a left perturbation: rotation in radians, translation in metres.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -21,6 +21,7 @@ mod held_out;
 mod large_rms;
 mod left_out;
 mod little_tilt;
+mod loose_knots;
 mod many_rejected;
 mod mirrored_corners;
 mod near_identical_frames;

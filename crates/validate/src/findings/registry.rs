@@ -64,6 +64,7 @@ diagnostics! {
     super::bow::Bow,
     super::held_out::HeldOut,
     super::large_rms::LargeRms,
+    super::loose_knots::LooseKnots,
     super::many_rejected::ManyRejected,
     super::no_covariance::NoCovariance,
     super::not_converged::NotConverged,
