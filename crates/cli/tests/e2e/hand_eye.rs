@@ -5,6 +5,21 @@ use std::path::PathBuf;
 
 use crate::{boresight, dataset};
 
+/// Returns the pose table of a dataset with numbers changed, by their columns' names; those for which `change` has nothing stay.
+fn changed_poses(name: &str, change: impl Fn(&str, f64) -> Option<f64>) -> String {
+    let table = std::fs::read_to_string(dataset(&format!("{name}/poses.csv"))).unwrap();
+    let (header, rows) = table.split_once('\n').unwrap();
+    let columns: Vec<&str> = header.split(',').collect();
+    let changed = |line: &str| {
+        let fields = line.split(',').zip(&columns).map(|(field, column)| {
+            let number = field.parse().ok().and_then(|number| change(column, number));
+            number.map_or_else(|| field.to_owned(), |number| number.to_string())
+        });
+        fields.collect::<Vec<String>>().join(",") + "\n"
+    };
+    format!("{header}\n{}", rows.lines().map(changed).collect::<String>())
+}
+
 #[test]
 fn the_synthetic_robots_are_calibrated_to_their_truth() {
     for (name, pose) in
@@ -81,19 +96,10 @@ fn degenerate_motions_are_refused_and_nothing_is_written() {
 fn poses_that_are_misread_are_told_wherever_they_fail() {
     let folder = tempfile::tempdir().unwrap();
     let fixed = dataset("robot-hand-eye-fixed");
-    let table = std::fs::read_to_string(dataset("robot-hand-eye-fixed/poses.csv")).unwrap();
     // Radians under a header of degrees: the robot hardly turns.
-    let mut lines = table.lines();
-    let header = lines.next().unwrap().to_owned();
-    let in_radians = lines.map(|line| {
-        let fields = line.split(',').enumerate().map(|(i, field)| match i {
-            4.. => format!("{:.7}", field.parse::<f64>().unwrap().to_radians()),
-            _ => field.to_owned(),
-        });
-        fields.collect::<Vec<String>>().join(",")
-    });
-    let text = [header].into_iter().chain(in_radians).collect::<Vec<String>>().join("\n");
-    std::fs::write(folder.path().join("poses.csv"), text + "\n").unwrap();
+    let in_radians = |column: &str, number: f64| column.ends_with("_deg").then(|| number.to_radians());
+    let text = changed_poses("robot-hand-eye-fixed", in_radians);
+    std::fs::write(folder.path().join("poses.csv"), text).unwrap();
     let run = boresight(folder.path(), &["robot", "hand-eye", &fixed, "--poses", "poses.csv"]);
     assert_eq!(run.code, Some(4), "{}", run.stderr);
     for part in ["robot-no-rotation", "misread", "moving-zyx:rad:mm"] {
@@ -110,17 +116,8 @@ fn a_stretched_robot_is_told_with_how_to_correct_it() {
     let folder = tempfile::tempdir().unwrap();
     let name = "robot-hand-eye-on-flange";
     // The robot says positions that are too short by 2 % along x.
-    let table = std::fs::read_to_string(dataset(&format!("{name}/poses.csv"))).unwrap();
-    let mut lines = table.lines();
-    let header = lines.next().unwrap();
-    let x = header.split(',').position(|column| column == "x_m").unwrap();
-    let shortened = lines.map(|line| {
-        let mut fields: Vec<String> = line.split(',').map(str::to_owned).collect();
-        fields[x] = (0.98 * fields[x].parse::<f64>().unwrap()).to_string();
-        fields.join(",")
-    });
-    let text = [header.to_owned()].into_iter().chain(shortened).collect::<Vec<String>>().join("\n");
-    std::fs::write(folder.path().join("poses.csv"), text + "\n").unwrap();
+    let text = changed_poses(name, |column, number| (column == "x_m").then_some(0.98 * number));
+    std::fs::write(folder.path().join("poses.csv"), text).unwrap();
     let arguments = ["robot", "hand-eye", &dataset(name), "--poses", "poses.csv"];
     let run = boresight(folder.path(), &arguments);
     assert_eq!(run.code, Some(0), "{}", run.stderr);
@@ -162,20 +159,9 @@ fn poses_of_other_frames_are_no_good_result() {
 fn a_left_handed_robot_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let name = "robot-hand-eye-on-flange";
-    let table = std::fs::read_to_string(dataset(&format!("{name}/poses.csv"))).unwrap();
-    let mut lines = table.lines();
-    let header = lines.next().unwrap().to_owned();
-    let columns: Vec<&str> = header.split(',').collect();
     // The mirror image of all poses in the plane of x and z.
-    let mirrored = lines.map(|line| {
-        let fields = line.split(',').zip(&columns).map(|(field, column)| match *column {
-            "y_m" | "qx" | "qz" => (-field.parse::<f64>().unwrap()).to_string(),
-            _ => field.to_owned(),
-        });
-        fields.collect::<Vec<String>>().join(",")
-    });
-    let text = [header.clone()].into_iter().chain(mirrored).collect::<Vec<String>>().join("\n");
-    std::fs::write(folder.path().join("poses.csv"), text + "\n").unwrap();
+    let mirrored = |column: &str, number: f64| ["y_m", "qx", "qz"].contains(&column).then_some(-number);
+    std::fs::write(folder.path().join("poses.csv"), changed_poses(name, mirrored)).unwrap();
     let run = boresight(folder.path(), &["robot", "hand-eye", &dataset(name), "--poses", "poses.csv"]);
     assert_eq!(run.code, Some(4), "{}", run.stderr);
     assert!(run.stderr.contains("only if the camera is mirrored"), "{}", run.stderr);
