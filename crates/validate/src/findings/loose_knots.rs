@@ -40,8 +40,9 @@ smaller field of view.";
             let params = placed.camera.model.param_names().into_iter().skip(4);
             let names: Vec<String> = params.map(|param| format!("{name}.{param}")).collect();
             let is_loose = |name: &&String| {
-                let believed = case.calibration.uncertainty.believed_share(name);
-                case.sigma(name).is_some_and(|sigma| sigma > LOOSE) && believed.is_some_and(|b| b < BELIEVED)
+                let is_told = |share: f64| share < BELIEVED;
+                case.sigma(name).is_some_and(|sigma| sigma > LOOSE)
+                    && case.calibration.uncertainty.believed_share(name).is_some_and(is_told)
             };
             let loose = names.iter().filter(is_loose).count();
             (loose > 0).then(|| Found {
