@@ -6,7 +6,6 @@ use boresight_data::{
     Calibration, CameraFit, CameraId, Dataset, Id, Motions, Mounting, Provenance, RejectionReason, Scene,
     SolveRecord, TargetId, Uncertainty, ViewFit,
 };
-use boresight_geometry::Vector3;
 use boresight_solver::{BlockId, Covariance, Solution, SolveOptions, Stop, Term, covariance};
 
 use crate::chain::{CLOCK_COLUMN, LINE_DELAY_COLUMN};
@@ -232,7 +231,7 @@ fn uncertainty(
     let information: Vec<f64> =
         places.iter().map(|&place| covariance.information(place).unwrap_or(0.0) / variance_factor).collect();
     let (regularization_information, regularization_pairs) = regularization_information(rig, &places);
-    let uncertainty = Uncertainty {
+    let mut uncertainty = Uncertainty {
         noise_factor: variance_factor.sqrt(),
         degrees_of_freedom,
         loose: loose_directions(&names, &entries, &information),
@@ -242,8 +241,9 @@ fn uncertainty(
         names,
         covariance: entries,
         unavailable: None,
-        baselines_m: baselines(dataset, rig, &covariance, variance_factor),
+        baselines_m: BTreeMap::new(),
     };
+    uncertainty.baselines_m = baselines(dataset, rig, &uncertainty);
     Ok((uncertainty, Some(costs)))
 }
 
@@ -339,31 +339,15 @@ fn target_name(dataset: &Dataset, target: TargetId) -> &str {
 }
 
 /// Returns the distance of each camera's centre from the rig's origin, with its sigma.
-fn baselines(
-    dataset: &Dataset,
-    rig: &RigProblem,
-    covariance: &Covariance,
-    variance_factor: f64,
-) -> BTreeMap<String, [f64; 2]> {
+fn baselines(dataset: &Dataset, rig: &RigProblem, uncertainty: &Uncertainty) -> BTreeMap<String, [f64; 2]> {
     let mut baselines = BTreeMap::new();
     for (camera_id, blocks) in rig.cameras.enumerate() {
         let Some(blocks) = blocks.filter(|blocks| !blocks.is_reference) else { continue };
-        if (3..6).all(|column| rig.parameters.is_held(blocks.cam_from_rig, column)) {
-            continue;
+        let translation_m = rig.parameters.values().pose(blocks.cam_from_rig).translation;
+        let name = &dataset.cameras[camera_id].name;
+        if let Some(sigma_m) = uncertainty.baseline_sigma_m(name, &translation_m) {
+            baselines.insert(name.clone(), [translation_m.norm(), sigma_m]);
         }
-        let translation: Vector3<f64> = rig.parameters.values().pose(blocks.cam_from_rig).translation;
-        let length = translation.norm();
-        // A left perturbation (w, v) changes |t| by t·v / |t|; w × t is square to t.
-        let direction = translation / length.max(f64::MIN_POSITIVE);
-        let mut variance = 0.0;
-        for a in 0..3 {
-            for b in 0..3 {
-                let entry = covariance.between((blocks.cam_from_rig, 3 + a), (blocks.cam_from_rig, 3 + b));
-                variance += direction[a] * direction[b] * entry;
-            }
-        }
-        let sigma = (variance * variance_factor).max(0.0).sqrt();
-        baselines.insert(dataset.cameras[camera_id].name.clone(), [length, sigma]);
     }
     baselines
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use boresight_geometry::Vector3;
 use serde::{Deserialize, Serialize};
 
 use crate::{CameraId, IdVec, PointId, Scene, Target, TargetId};
@@ -129,6 +130,30 @@ pub struct Uncertainty {
 }
 
 impl Uncertainty {
+    /// Returns the sigma of a camera's distance from the reference camera, in metres, where `translation_m` is that of its
+    /// `cam_from_rig`; `None` where its place was not estimated.
+    pub fn baseline_sigma_m(&self, camera: &str, translation_m: &Vector3<f64>) -> Option<f64> {
+        let place = |axis: &str| {
+            let name = format!("{camera}.cam_from_rig.t{axis}_m");
+            self.names.iter().position(|known| *known == name)
+        };
+        // A left perturbation (w, v) changes |t| by t·v / |t|; w × t is square to t.
+        let direction = translation_m / translation_m.norm().max(f64::MIN_POSITIVE);
+        let free: Vec<(usize, f64)> = ["x", "y", "z"]
+            .into_iter()
+            .zip(&direction)
+            .filter_map(|(axis, d)| Some((place(axis)?, *d)))
+            .collect();
+        let entry = |a: usize, b: usize| self.covariance.get(a * self.names.len() + b).copied();
+        let mut variance = 0.0;
+        for (a, along_a) in &free {
+            for (b, along_b) in &free {
+                variance += along_a * along_b * entry(*a, *b)?;
+            }
+        }
+        (!free.is_empty()).then(|| variance.max(0.0).sqrt())
+    }
+
     /// Returns which share of what is known of a parameter the regularisation claims; `None` if it was not estimated.
     pub fn believed_share(&self, parameter: &str) -> Option<f64> {
         let n = self.names.len();

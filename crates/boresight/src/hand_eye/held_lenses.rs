@@ -33,9 +33,8 @@ fn carried(
     places: &BTreeMap<&str, Vector3<f64>>,
 ) -> Option<Uncertainty> {
     let (n, n_all) = (free.names.len(), free.names.len() + free.motions.names.len());
-    let (of_held, of_free) = (joint(held)?, joint(free)?);
+    let (of_held, of_free, of_own) = (joint(held)?, joint(free)?, joint(own)?);
     let own_place = |name: &String| own.names.iter().position(|own| own == name);
-    let of_own = DMatrix::from_row_slice(own.names.len(), own.names.len(), &own.covariance);
     // Where everything of `free` is in the answer; what is nowhere there is of a lens.
     let names = || free.names.iter().chain(&free.motions.names);
     let held_names: Vec<&String> = held.names.iter().chain(&held.motions.names).collect();
@@ -67,31 +66,23 @@ fn carried(
                 of_held[(held_places[i]?, held_places[j]?)] + 0.5 * (by_lens[(a, b)] + by_lens[(b, a)]);
         }
     }
-    let baselines_m = held.baselines_m.iter().map(|(camera, [length, sigma])| {
-        let axis = |axis: &str| {
-            let name = format!("{camera}.cam_from_rig.t{axis}_m");
-            free.names.iter().position(|free| *free == name)
-        };
-        let variance = || {
-            let direction = places.get(camera.as_str())?.normalize();
-            let axes = [axis("x")?, axis("y")?, axis("z")?];
-            let part = |a: usize, b: usize| direction[a] * direction[b] * all[(axes[a], axes[b])];
-            Some((0..9).map(|k| part(k / 3, k % 3)).sum::<f64>())
-        };
-        (camera.clone(), [*length, variance().map_or(*sigma, f64::sqrt)])
-    });
     let entries = |rows: std::ops::Range<usize>, n_columns: usize| -> Vec<f64> {
         rows.flat_map(|i| (0..n_columns).map(move |j| (i, j))).map(|place| all[place]).collect()
     };
-    Some(Uncertainty {
+    let mut carried = Uncertainty {
         names: free.names.clone(),
         covariance: entries(0..n, n),
         motions: Motions { names: free.motions.names.clone(), covariance: entries(n..n_all, n_all) },
-        baselines_m: baselines_m.collect(),
         regularization_information: free.regularization_information.clone(),
         regularization_pairs: free.regularization_pairs.clone(),
         ..held.clone()
-    })
+    };
+    let baselines_m = held.baselines_m.iter().map(|(camera, [length, sigma])| {
+        let known = places.get(camera.as_str()).and_then(|place| carried.baseline_sigma_m(camera, place));
+        (camera.clone(), [*length, known.unwrap_or(*sigma)])
+    });
+    carried.baselines_m = baselines_m.collect();
+    Some(carried)
 }
 
 /// Returns the joint covariance of parameters and motions, or `None` without one.
