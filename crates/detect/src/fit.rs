@@ -247,8 +247,7 @@ impl<'a> Window<'a> {
         });
         let is_hole_along = start.hole.is_some_and(|hole| hole.is_bright == start.is_bright);
         let origin = start.pixel.map(f64::round);
-        // Sums and counts of the grey values: of all, after along the first axis, along the second, along both. They are kept
-        // in registers, unlike sums of sectors by their index.
+        // Sums and counts of the grey values in the sectors: both bright or both dark, before and after along each axis.
         let (mut sums, mut counts) = ([0.0f64; 4], [0.0f64; 4]);
         // Along a row, either coordinate in steps is linear in x.
         let slopes = [b[1] / determinant, -a[1] / determinant];
@@ -270,7 +269,7 @@ impl<'a> Window<'a> {
             // The lattice is the image's own: columns are counted from its left, rows from its top.
             let from = from.ceil() as usize;
             let skipped = (further * v + one_in - from % one_in) % one_in;
-            for u in (from + skipped..to.floor() as usize + 1).step_by(one_in) {
+            for u in (from + skipped..=to.floor() as usize).step_by(one_in) {
                 let x = u as f64 - start.pixel[0];
                 let along = [slopes[0] * x + offsets[0], slopes[1] * x + offsets[1]];
                 let is_in_hole = along[0].abs() > hole_from[0]
@@ -278,11 +277,9 @@ impl<'a> Window<'a> {
                     && (along[0] * along[1] > 0.0) == is_hole_along;
                 if !is_in_hole {
                     let value: f64 = values[v * width + u].into();
-                    let [first, second] = along.map(|along| along > 0.0);
-                    for (k, is_in) in [true, first, second, first && second].into_iter().enumerate() {
-                        sums[k] += if is_in { value } else { 0.0 };
-                        counts[k] += if is_in { 1.0 } else { 0.0 };
-                    }
+                    let sector = 2 * usize::from(along[0] > 0.0) + usize::from(along[1] > 0.0);
+                    sums[sector] += value;
+                    counts[sector] += 1.0;
                     pixels.push(u as f64 - origin[0], v as f64 - origin[1], value);
                 }
             }
@@ -294,10 +291,6 @@ impl<'a> Window<'a> {
         let reach_px = (reach[0] * lengths[0]).min(reach[1] * lengths[1]);
         let [mean, spread] = pixels.normalise();
         // The sectors 0 and 3 have one colour, 1 and 2 the other, or it is no corner and need not be fitted.
-        let sectors = |[all, first, second, both]: [f64; 4]| {
-            [all - first - second + both, second - both, first - both, both]
-        };
-        let (sums, counts) = (sectors(sums), sectors(counts));
         let sense = if start.is_bright { 1.0 } else { -1.0 };
         let [a, b, c, d] = [0, 1, 2, 3].map(|i| sense * sums[i] / f64::max(counts[i], 1.0));
         let is_cut = counts.contains(&0.0);
