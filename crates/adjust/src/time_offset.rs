@@ -235,10 +235,7 @@ fn line_delay_information(dataset: &Dataset, scene: &Scene, camera: CameraId) ->
 
 /// Returns the sigma of a camera's time in seconds; `None` if it is not known.
 fn sigma_of(dataset: &Dataset, calibration: &Calibration, camera: CameraId, time: &str) -> Option<f64> {
-    let uncertainty = &calibration.uncertainty;
-    let name = format!("{}.{time}", dataset.cameras[camera].name);
-    let place = uncertainty.names.iter().position(|known| *known == name)?;
-    Some(uncertainty.covariance.get(place * (uncertainty.names.len() + 1))?.sqrt())
+    calibration.uncertainty.sigma(&format!("{}.{time}", dataset.cameras[camera].name))
 }
 
 /// Returns the median over a camera's views of how far the target moves in their images between two rows.

@@ -91,7 +91,7 @@ fn a_twisted_board_is_recovered_and_does_not_bend_the_lens() {
     assert!(six.rms_px <= 0.1 && six.max_px <= 0.2, "{} {}", six.rms_px, six.max_px);
     let found_m = &outcome.calibration.scene.targets.iter().next().unwrap().shape_m;
     for (j, (found, truth)) in found_m.iter().zip(TWISTED_M).enumerate() {
-        let sigma = crate::sigma_of(&outcome.calibration, &format!("board.shape{j}_m")).unwrap();
+        let sigma = outcome.calibration.uncertainty.sigma(&format!("board.shape{j}_m")).unwrap();
         println!("shape{j}: {:.2} sigmas of {:.1} um", (found - truth) / sigma, 1e6 * sigma);
         // What is not known to a tenth of the twist would be within its sigmas by saying nothing.
         let is_known = sigma < 0.1 * TWISTED_M[2];
@@ -178,7 +178,7 @@ fn an_earlier_calibration_is_a_prior_and_its_uncertainty_carries_on() {
     let alone = calibrate(&Job::from(second.dataset.clone()), &plain, &watch).unwrap().calibration;
     let prior = CalibrateOptions { prior: Some(folder.path().to_owned()), ..plain.clone() };
     let both = calibrate(&Job::from(second.dataset.clone()), &prior, &watch).unwrap().calibration;
-    let sigma = |calibration: &Calibration, name: &str| crate::sigma_of(calibration, name);
+    let sigma = |calibration: &Calibration, name: &str| calibration.uncertainty.sigma(name);
     for name in ["cam0.fx", "cam1.cx", "cam1.cam_from_rig.tz_m"] {
         let [before, few, all] = [&earlier.calibration, &alone, &both].map(|c| sigma(c, name).unwrap());
         // More data, less uncertainty; the noise factors of both differ by a few percent.
@@ -215,7 +215,7 @@ fn what_an_earlier_calibration_held_is_held_again_and_stated_lenses_stay() {
     assert!(again.adjust.priors.is_empty());
     assert_eq!(again.calibration.scene.rig, plain.calibration.scene.rig);
     for name in ["cam0.fx", "cam1.k1", "cam1.cam_from_rig.tx_m"] {
-        assert_eq!(crate::sigma_of(&again.calibration, name), None, "{name}");
+        assert_eq!(again.calibration.uncertainty.sigma(name), None, "{name}");
     }
 
     // A lens that the job states is not the earlier calibration's; the other camera's is.
@@ -229,10 +229,10 @@ fn what_an_earlier_calibration_held_is_held_again_and_stated_lenses_stay() {
         calibrate(&third, &CalibrateOptions { prior, ..CalibrateOptions::default() }, &watch).unwrap();
     assert_eq!(lens(&outcome, 1), stated);
     assert!(
-        crate::sigma_of(&outcome.calibration, "cam0.fx").unwrap()
-            < 1.05 * crate::sigma_of(&plain.calibration, "cam0.fx").unwrap()
+        outcome.calibration.uncertainty.sigma("cam0.fx").unwrap()
+            < 1.05 * plain.calibration.uncertainty.sigma("cam0.fx").unwrap()
     );
-    assert!(crate::sigma_of(&outcome.calibration, "cam1.cam_from_rig.tx_m").is_some());
+    assert!(outcome.calibration.uncertainty.sigma("cam1.cam_from_rig.tx_m").is_some());
 }
 
 #[test]
@@ -260,7 +260,7 @@ fn a_prior_weighs_as_much_where_corners_have_sigmas_of_their_own() {
     let few = mixed(&Recipe { frames: 4, ..recipe }, 6);
     let both = calibrate(&Job::from(few), &prior, &watch).unwrap().calibration;
     for name in ["cam0.fx", "cam0.cx", "cam0.k1"] {
-        let [before, all] = [&earlier.calibration, &both].map(|c| crate::sigma_of(c, name).unwrap());
+        let [before, all] = [&earlier.calibration, &both].map(|c| c.uncertainty.sigma(name).unwrap());
         // A tenth more views tell little more; the noise factors of both differ by a few percent.
         assert!(all < 1.08 * before && all > 0.8 * before, "{name}: {before} {all}");
     }
@@ -300,7 +300,7 @@ fn cameras_may_share_a_lens_and_parameters_may_be_held() {
     for half in halves.unwrap() {
         let lens = |id: u32| &half.scene.rig.cameras[CameraId(id)].as_ref().unwrap().camera.params;
         assert_eq!((lens(0)[8], lens(0)), (0.0, lens(1)));
-        assert_eq!(crate::sigma_of(&half, "cam1.k3"), None);
+        assert_eq!(half.uncertainty.sigma("cam1.k3"), None);
     }
 }
 

@@ -111,7 +111,7 @@ pub use locate::{Candidate, LocatePoint, Located, locate};
 pub use options::CalibrateOptions;
 pub use planar::{PLANAR_SCHEMA, PlanarOutcome, planar, planar_to_json};
 pub use recordings::detect_recordings;
-pub use results::{RESULT_FILES, result_files, sigma_of, write_results};
+pub use results::{RESULT_FILES, result_files, write_results};
 pub use shape_choice::ShapeSelection;
 pub use time_offset::TimeOffsetChoice;
 pub use uncertainty::{CameraUncertainty, UncertaintyOptions, UncertaintyReport, uncertainty};

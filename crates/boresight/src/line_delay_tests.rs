@@ -35,7 +35,7 @@ fn found(outcome: &Outcome) -> Vec<&Finding> {
 fn delay_us(outcome: &Outcome, camera: usize) -> [f64; 2] {
     let id = CameraId::from_index(camera);
     let name = &outcome.dataset.cameras[id].name;
-    let sigma_s = crate::sigma_of(&outcome.calibration, &format!("{name}.line_delay_s")).unwrap_or(f64::NAN);
+    let sigma_s = outcome.calibration.uncertainty.sigma(&format!("{name}.line_delay_s")).unwrap_or(f64::NAN);
     [outcome.calibration.scene.rig.cameras[id].as_ref().unwrap().line_delay_s, sigma_s].map(|s| 1e6 * s)
 }
 
@@ -110,7 +110,7 @@ fn delays_and_offsets_are_told_apart() {
     let late_s = |outcome: &Outcome| {
         outcome.calibration.scene.rig.cameras[CameraId(1)].as_ref().unwrap().time_offset_s
     };
-    let sigma_s = crate::sigma_of(&solved.calibration, "cam1.time_offset_s").unwrap();
+    let sigma_s = solved.calibration.uncertainty.sigma("cam1.time_offset_s").unwrap();
     assert!((late_s(&solved) - 0.02).abs() < 4.0 * sigma_s, "{} ± {sigma_s}", late_s(&solved));
 
     let stated = CalibrateOptions { time_offset: TimeOffsetChoice::Solve, ..options("0,cam1=20e-6") };

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use boresight_data::Calibration;
 use boresight_io::{OutputFile, calibration_to_json, matrices_to_text, observations_to_parquet, write_files};
 
 use crate::calibrate::Outcome;
@@ -30,13 +29,6 @@ pub fn write_results(outcome: &Outcome, folder: &Path) -> Result<(), Error> {
     Ok(write_files(folder, &result_files(outcome)?)?)
 }
 
-/// Returns the sigma of a parameter such as `left.fx`, or `None` if it was not estimated.
-pub fn sigma_of(calibration: &Calibration, parameter: &str) -> Option<f64> {
-    let uncertainty = &calibration.uncertainty;
-    let i = uncertainty.names.iter().position(|name| name == parameter)?;
-    uncertainty.covariance.get(i * (uncertainty.names.len() + 1)).map(|variance| variance.sqrt())
-}
-
 #[cfg(test)]
 mod tests {
     use boresight_io::{JobOverrides, load_job, read_calibration};
@@ -54,9 +46,9 @@ mod tests {
         assert!(outcome.calibration.solve.converged, "{}", outcome.calibration.solve.stop);
         assert_ne!(outcome.verdict, Verdict::Fail, "{:?}", outcome.findings);
         assert_eq!(outcome.left_out, Vec::<String>::new());
-        let sigma = sigma_of(&outcome.calibration, "left.fx").unwrap();
+        let sigma = outcome.calibration.uncertainty.sigma("left.fx").unwrap();
         assert!(sigma > 0.01 && sigma < 5.0, "{sigma}");
-        assert_eq!(sigma_of(&outcome.calibration, "left.fz"), None);
+        assert_eq!(outcome.calibration.uncertainty.sigma("left.fz"), None);
 
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("out");

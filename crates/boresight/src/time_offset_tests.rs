@@ -39,7 +39,7 @@ fn an_offset_of_twenty_milliseconds_is_recovered_to_one() {
         let made = waved(1e-3 * truth_ms, 120, 3);
         let solved = calibrated(&made, TimeOffsetChoice::Solve);
         let camera = solved.calibration.scene.rig.cameras[CameraId(1)].as_ref().unwrap();
-        let sigma_ms = 1e3 * crate::sigma_of(&solved.calibration, "cam1.time_offset_s").unwrap();
+        let sigma_ms = 1e3 * solved.calibration.uncertainty.sigma("cam1.time_offset_s").unwrap();
         let off_ms = 1e3 * camera.time_offset_s - truth_ms;
         let unseen = solved.calibration.held_out.as_ref().unwrap();
         println!(
@@ -79,7 +79,7 @@ fn cameras_in_step_have_no_finding() {
         let solved = calibrated(&made, TimeOffsetChoice::Solve);
         assert_eq!(found(&solved), [] as [&Finding; 0]);
         let late_s = solved.calibration.scene.rig.cameras[CameraId(1)].as_ref().unwrap().time_offset_s;
-        let sigma_s = crate::sigma_of(&solved.calibration, "cam1.time_offset_s").unwrap();
+        let sigma_s = solved.calibration.uncertainty.sigma("cam1.time_offset_s").unwrap();
         assert!(late_s.abs() < 4.0 * sigma_s && sigma_s < 1e-3, "{late_s} ± {sigma_s}");
     }
 }

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use boresight::{
     Calibration, Camera, CameraFit, CircleLayout, Dataset, Finding, Geometry, HeldOut, Id as _,
-    RejectionReason, RigCamera, Severity, Shape, Target, Verdict, sigma_of,
+    RejectionReason, RigCamera, Severity, Shape, Target, Verdict,
 };
 
 use crate::figures::{count, significant, to_sigma, with_sigma};
@@ -105,7 +105,7 @@ fn cameras(calibration: &Calibration) -> String {
             rows.push(row([&fit.name, "-", "-", "-", "-", "-", "-", "0", "0", &fit.rejected.to_string()]));
             continue;
         };
-        let sigma = |param: &str| sigma_of(calibration, &format!("{}.{param}", fit.name));
+        let sigma = |param: &str| calibration.uncertainty.sigma(&format!("{}.{param}", fit.name));
         let [fx, fy, cx, cy] = [0, 1, 2, 3].map(|i| camera.params[i]);
         rows.push(row([
             &fit.name,
@@ -161,7 +161,7 @@ fn lenses(calibration: &Calibration) -> Vec<String> {
             let mut cells = vec![name.to_owned()];
             for (fit, RigCamera { camera, .. }) in some {
                 let i = camera.model.param_names().iter().position(|param| *param == name);
-                let sigma = sigma_of(calibration, &format!("{}.{name}", fit.name));
+                let sigma = calibration.uncertainty.sigma(&format!("{}.{name}", fit.name));
                 cells.push(i.map_or_else(|| "-".to_owned(), |i| with_sigma(camera.params[i], sigma)));
             }
             rows.push(cells);
@@ -218,7 +218,7 @@ fn rig(calibration: &Calibration) -> Option<String> {
     let mut note =
         format!("position and orientation (Rodrigues vector) of each camera in the frame of {name}\n");
     for (fit, RigCamera { time_offset_s, .. }) in calibrated(calibration) {
-        let sigma_s = sigma_of(calibration, &format!("{}.time_offset_s", fit.name));
+        let sigma_s = calibration.uncertainty.sigma(&format!("{}.time_offset_s", fit.name));
         if *time_offset_s != 0.0 || sigma_s.is_some() {
             let late_ms = with_sigma(1e3 * time_offset_s, sigma_s.map(|sigma_s| 1e3 * sigma_s));
             let _ = writeln!(note, "{}: {late_ms} ms later than {name}", fit.name);
@@ -231,7 +231,7 @@ fn rig(calibration: &Calibration) -> Option<String> {
 fn rows_in_time(calibration: &Calibration) -> Option<String> {
     let mut rows = vec![row(["rows", "delay us", "first to last ms"])];
     for (fit, RigCamera { camera, line_delay_s, .. }) in calibrated(calibration) {
-        let sigma_s = sigma_of(calibration, &format!("{}.line_delay_s", fit.name));
+        let sigma_s = calibration.uncertainty.sigma(&format!("{}.line_delay_s", fit.name));
         if *line_delay_s != 0.0 || sigma_s.is_some() {
             let delay_us = with_sigma(1e6 * line_delay_s, sigma_s.map(|sigma_s| 1e6 * sigma_s));
             let n_delays = f64::from(camera.image_size[1].saturating_sub(1));
@@ -266,7 +266,7 @@ fn solve(calibration: &Calibration) -> String {
             Shape::Rigid => "as drawn".to_owned(),
             Shape::Parabolic2 | Shape::Twisted6 => {
                 let coefficient = |j: usize, value: f64| {
-                    let sigma = sigma_of(calibration, &format!("{}.shape{j}_m", target.name));
+                    let sigma = calibration.uncertainty.sigma(&format!("{}.shape{j}_m", target.name));
                     with_sigma(1e3 * value, sigma.map(|sigma| 1e3 * sigma))
                 };
                 let bends: Vec<String> =

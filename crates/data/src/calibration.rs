@@ -130,13 +130,21 @@ pub struct Uncertainty {
 }
 
 impl Uncertainty {
+    /// Returns where a parameter is in `names`, or `None` if it was not estimated.
+    fn place(&self, parameter: &str) -> Option<usize> {
+        self.names.iter().position(|name| name == parameter)
+    }
+
+    /// Returns the sigma of a parameter such as `left.fx`, or `None` if it was not estimated.
+    pub fn sigma(&self, parameter: &str) -> Option<f64> {
+        let i = self.place(parameter)?;
+        self.covariance.get(i * (self.names.len() + 1)).map(|variance| variance.sqrt())
+    }
+
     /// Returns the sigma of a camera's distance from the reference camera, in metres, where `translation_m` is that of its
     /// `cam_from_rig`; `None` where its place was not estimated.
     pub fn baseline_sigma_m(&self, camera: &str, translation_m: &Vector3<f64>) -> Option<f64> {
-        let place = |axis: &str| {
-            let name = format!("{camera}.cam_from_rig.t{axis}_m");
-            self.names.iter().position(|known| *known == name)
-        };
+        let place = |axis: &str| self.place(&format!("{camera}.cam_from_rig.t{axis}_m"));
         // A left perturbation (w, v) changes |t| by t·v / |t|; w × t is square to t.
         let direction = translation_m / translation_m.norm().max(f64::MIN_POSITIVE);
         let free: Vec<(usize, f64)> = ["x", "y", "z"]
@@ -157,7 +165,7 @@ impl Uncertainty {
     /// Returns which share of what is known of a parameter the regularisation claims; `None` if it was not estimated.
     pub fn believed_share(&self, parameter: &str) -> Option<f64> {
         let n = self.names.len();
-        let i = self.names.iter().position(|name| name == parameter)?;
+        let i = self.place(parameter)?;
         let row = self.covariance.get(i * n..(i + 1) * n)?;
         // Of a lens that cameras share the claim stands at one of the names, whose numbers are the same.
         let is_same = |j: &usize| row[*j] == row[i] && self.covariance[j * (n + 1)] == row[i];

@@ -92,7 +92,7 @@ impl HandEyeDocument {
                     .then(|| {
                         let columns = ["rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m"];
                         let sigmas = columns.map(|column| {
-                            crate::results::sigma_of(calibration, &format!("robot.{}.{column}", names[which]))
+                            calibration.uncertainty.sigma(&format!("robot.{}.{column}", names[which]))
                         });
                         sigmas
                             .iter()

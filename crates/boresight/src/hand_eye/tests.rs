@@ -173,7 +173,7 @@ fn what_is_held_in_the_cameras_own_calibration_is_held_with_the_robot() {
     let found = hand_eye(&job_of(&made, None), &options, &Watch::default()).unwrap();
     let calibration = &found.outcome.calibration;
     let lens = &calibration.scene.rig.cameras.as_slice()[0].as_ref().unwrap().camera;
-    assert_eq!((lens.params[8], crate::sigma_of(calibration, "cam0.k3")), (0.0, None));
+    assert_eq!((lens.params[8], calibration.uncertainty.sigma("cam0.k3")), (0.0, None));
     assert!(found.outcome.adjust.holds.contains(&Hold::LensParam(boresight_data::CameraId(0), 8)));
 }
 
@@ -614,6 +614,6 @@ fn lenses_that_are_held_bring_their_covariance_along() {
     worse.covariance.iter_mut().for_each(|entry| *entry *= 100.0);
     let mut far = held.clone();
     held_lenses::carry(&mut far, &free.uncertainty, &worse, &made.dataset);
-    let fx = |calibration: &Calibration| crate::sigma_of(calibration, "cam0.fx").unwrap();
+    let fx = |calibration: &Calibration| calibration.uncertainty.sigma("cam0.fx").unwrap();
     assert!((fx(&far) / fx(&free) - 10.0).abs() < 1e-6 && baseline(&far) > 2.0 * baseline(&free));
 }

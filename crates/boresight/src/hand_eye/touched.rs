@@ -6,8 +6,6 @@ use boresight_geometry::{Pose, Vector3};
 use boresight_io::TouchInput;
 use serde::Serialize;
 
-use crate::results::sigma_of;
-
 /// Touches that miss by more than this many times what their sigma and the robot's noise explain are told, and by more
 /// than the second the result fails. Of 27 numbers the root mean square is hardly ever 1.5 times its sigma.
 const MISS: [f64; 2] = [3.0, 10.0];
@@ -69,7 +67,7 @@ pub(super) fn touched_points(
         Mounting::RigOnFlange => "flange",
         Mounting::RigInBase => "base",
     };
-    let sigma_m = |axis: &str| sigma_of(calibration, &format!("robot.tip_in_{bearer}.{axis}_m"));
+    let sigma_m = |axis: &str| calibration.uncertainty.sigma(&format!("robot.tip_in_{bearer}.{axis}_m"));
     let tip_sigma_m = || Some([sigma_m("x")?, sigma_m("y")?, sigma_m("z")?]);
     Some(TouchedPoints {
         touches: touches_count,

@@ -69,9 +69,7 @@ impl<'a> Case<'a> {
 
     /// Returns the sigma of a parameter, or `None` where there is none.
     pub(crate) fn sigma(&self, parameter: &str) -> Option<f64> {
-        let uncertainty = &self.calibration.uncertainty;
-        let i = uncertainty.names.iter().position(|name| name == parameter)?;
-        uncertainty.covariance.get(i * uncertainty.names.len() + i).map(|variance| variance.sqrt())
+        self.calibration.uncertainty.sigma(parameter)
     }
 
     /// Returns the views that took part in the solve.
