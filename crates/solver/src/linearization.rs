@@ -349,7 +349,7 @@ impl Chunk {
             for (k, own) in own.iter().enumerate() {
                 add(&mut group.own[k], own);
                 let row = &self.gram[k * n..(k + 1) * n];
-                for run in &place.coupling {
+                for run in place.coupling.iter() {
                     let first = k * n_coupled + run.place;
                     put(run, &mut group.coupling[first..first + run.length], &row[run.column..]);
                 }

@@ -300,7 +300,7 @@ fn solve_coupling<S: Simd>(
     solved: &mut Vec<Panel>,
 ) {
     let n_coupled = group.columns.len();
-    for &(place, _, length) in &group.runs {
+    for &(place, _, length) in group.runs.iter() {
         let mut first = 0;
         while first < length {
             let n = (length - first).min(COLUMNS);
@@ -339,7 +339,7 @@ fn solve_coupling<S: Simd>(
 #[inline(always)]
 fn add_gradient<S: Simd>(simd: S, group: &Group, y: &[Panel], gradient: &[f64; SIDE], sums: &mut [f64]) {
     let mut panels = y.iter();
-    for &(_, column, length) in &group.runs {
+    for &(_, column, length) in group.runs.iter() {
         let targets = sums[column..].chunks_mut(COLUMNS).take(length.div_ceil(COLUMNS));
         for (target, panel) in targets.zip(&mut panels) {
             let (target, _) = S::as_mut_simd_f64s(target);

@@ -1,6 +1,7 @@
 //! What the solver works out once: which column is where, and which terms are evaluated together.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
+use std::collections::btree_map::{BTreeMap, Entry};
 use std::mem;
 use std::ops::Range;
 use std::sync::Arc;
@@ -120,7 +121,7 @@ impl CompositePlace {
 }
 
 /// Where a term's columns belong.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct TermPlace {
     /// The term, as an index into the problem's.
     pub term_idx: usize,
@@ -130,7 +131,7 @@ pub(crate) struct TermPlace {
     /// The number of the term's columns.
     pub n_columns: usize,
     /// Where its free reduced columns are in the group's coupling.
-    pub coupling: Vec<CouplingRun>,
+    pub coupling: Arc<[CouplingRun]>,
     /// Which of its signature's columns it may touch, for a term with local support; runs of the
     /// coupling then count in these.
     pub support: Option<Vec<u32>>,
@@ -155,9 +156,9 @@ pub(crate) struct Group {
     /// Its terms, as a range of [`Structure::terms`].
     pub terms: Range<usize>,
     /// The reduced columns that the eliminated block is coupled with, in increasing order.
-    pub columns: Vec<u32>,
+    pub columns: Arc<[u32]>,
     /// Maximal runs of consecutive reduced columns: (first position in `columns`, reduced column, length).
-    pub runs: Vec<(usize, usize, usize)>,
+    pub runs: Arc<[(usize, usize, usize)]>,
 }
 
 impl Structure {
@@ -291,24 +292,22 @@ impl Structure {
     fn place_terms(&mut self, problem: &Problem<'_>, mut supports: Vec<Option<Vec<u32>>>) {
         let blocks = &problem.parameters.blocks;
         let is_eliminated = |block: usize| blocks[block].elimination == Elimination::First;
-        let mut members: Vec<(Option<usize>, Vec<usize>)> = Vec::new();
-        let mut group_of_block = BTreeMap::new();
-        for (term_idx, term) in problem.terms.iter().enumerate() {
-            match term.blocks().iter().map(|block| block.0).find(|&block| is_eliminated(block)) {
-                Some(block) => {
-                    let group = *group_of_block.entry(block).or_insert(members.len());
-                    if group == members.len() {
-                        members.push((Some(block), Vec::new()));
-                    }
-                    members[group].1.push(term_idx);
-                }
-                None => members.push((None, vec![term_idx])),
-            }
-        }
+        // Most groups see what another sees, and their terms lie as those of the first one.
+        let mut alike: BTreeMap<Vec<usize>, usize> = BTreeMap::new();
         let mut signatures_of: BTreeMap<Vec<usize>, Vec<usize>> = BTreeMap::new();
         // Where each reduced column is in the coupling of the group at hand.
         let mut places: Vec<Option<u32>> = vec![None; self.n_reduced];
-        for (eliminated, term_idxs) in members {
+        for (eliminated, term_idxs) in members(problem) {
+            if let Some(likeness) = likeness(problem, &term_idxs, &supports).filter(|_| eliminated.is_some())
+            {
+                match alike.entry(likeness) {
+                    Entry::Occupied(first) => {
+                        self.place_like(*first.get(), eliminated, &term_idxs);
+                        continue;
+                    }
+                    Entry::Vacant(place) => *place.insert(self.groups.len()),
+                };
+            }
             let reduced_blocks = |term_idx: usize| {
                 problem.terms[term_idx]
                     .blocks()
@@ -412,18 +411,29 @@ impl Structure {
                     signature,
                     eliminated: eliminated_columns,
                     n_columns,
-                    coupling,
+                    coupling: coupling.into(),
                     support,
                 });
             }
             for &column in &columns {
                 places[column as usize] = None;
             }
-            let runs = runs(&columns);
-            self.groups.push(Group { eliminated, terms: first_term..self.terms.len(), columns, runs });
+            let (runs, terms) = (runs(&columns).into(), first_term..self.terms.len());
+            self.groups.push(Group { eliminated, terms, columns: columns.into(), runs });
         }
         // Groups with the same columns are eliminated together.
         self.groups.sort_by(|a, b| a.columns.cmp(&b.columns));
+    }
+
+    /// Places the terms of a group as those of another that it is like.
+    fn place_like(&mut self, like: usize, eliminated: Option<usize>, term_idxs: &[usize]) {
+        let Group { columns, runs, terms, .. } = &self.groups[like];
+        let (columns, runs) = (columns.clone(), runs.clone());
+        let first_term = self.terms.len();
+        for (&term_idx, place) in term_idxs.iter().zip(terms.clone()) {
+            self.terms.push(TermPlace { term_idx, ..self.terms[place].clone() });
+        }
+        self.groups.push(Group { eliminated, terms: first_term..self.terms.len(), columns, runs });
     }
 
     /// Finds the columns that are damped alike.
@@ -476,6 +486,49 @@ impl Structure {
     pub(crate) const fn eliminated_columns() -> usize {
         POSE_COLUMNS
     }
+}
+
+/// Returns the terms that each eliminated block has, and those without one, each alone, in the order of the terms.
+fn members(problem: &Problem<'_>) -> Vec<(Option<usize>, Vec<usize>)> {
+    let blocks = &problem.parameters.blocks;
+    let mut members: Vec<(Option<usize>, Vec<usize>)> = Vec::new();
+    let mut group_of_block = vec![None; blocks.len()];
+    for (term_idx, term) in problem.terms.iter().enumerate() {
+        let mut touched = term.blocks().iter().map(|block| block.0);
+        match touched.find(|&block| blocks[block].elimination == Elimination::First) {
+            Some(block) => {
+                let group = *group_of_block[block].get_or_insert(members.len());
+                if group == members.len() {
+                    members.push((Some(block), Vec::new()));
+                }
+                members[group].1.push(term_idx);
+            }
+            None => members.push((None, vec![term_idx])),
+        }
+    }
+    members
+}
+
+/// Returns what says where the columns of a group's terms lie, whichever block is eliminated; `None` if the terms'
+/// supports say it.
+fn likeness(problem: &Problem<'_>, term_idxs: &[usize], supports: &[Option<Vec<u32>>]) -> Option<Vec<usize>> {
+    let blocks = &problem.parameters.blocks;
+    let mut likeness = Vec::with_capacity(8 * term_idxs.len());
+    for &term_idx in term_idxs {
+        if supports[term_idx].is_some() {
+            return None;
+        }
+        let term = problem.terms[term_idx];
+        likeness.push(term.blocks().len());
+        likeness.extend(term.blocks().iter().map(|block| match blocks[block.0].elimination {
+            Elimination::First => usize::MAX,
+            Elimination::Reduced => block.0,
+        }));
+        let composite = term.composite();
+        likeness.push(composite.map_or(0, |term| Arc::as_ptr(term.columns()).addr()));
+        likeness.push(composite.and_then(|term| term.outer_link()).map_or(0, |link| link + 1));
+    }
+    Some(likeness)
 }
 
 /// Adds a column to the last run if it continues that and is not the first of a block, else begins a new one.

@@ -113,7 +113,7 @@ impl WithSimd for Substitute<'_> {
             let Some(triangle) = triangles.next() else { return };
             let n = group.columns.len();
             let mut own = right.of(block, sums);
-            for &(place, column, length) in &group.runs {
+            for &(place, column, length) in group.runs.iter() {
                 let reduced = &reduced[column..column + length];
                 for (k, own) in own.iter_mut().enumerate() {
                     *own -= dot(simd, &sums.coupling[k * n + place..][..length], reduced);
@@ -149,7 +149,7 @@ impl WithSimd for Condense<'_> {
             let mut own = right.of(block, sums);
             forward(triangle, &mut own);
             backward(triangle, &mut own);
-            for &(place, column, length) in &group.runs {
+            for &(place, column, length) in group.runs.iter() {
                 let sum = &mut into.gradient[column..column + length];
                 for (k, own) in own.iter().enumerate() {
                     add_scaled(simd, sum, &sums.coupling[k * n + place..][..length], *own);
