@@ -64,6 +64,8 @@ pub struct Counters {
 /// The search.
 pub(crate) struct LevenbergMarquardt<'a> {
     options: &'a SolveOptions,
+    /// The number of rows that are observations.
+    n_rows: usize,
     structure: Structure,
     threads: &'a Threads,
     model: Linearization,
@@ -98,6 +100,7 @@ impl<'a> LevenbergMarquardt<'a> {
         let structure = Structure::new(problem, values);
         let mut search = Self {
             options,
+            n_rows: problem.observation_rows(),
             threads,
             model: Linearization::new(&structure),
             trial: Linearization::new(&structure),
@@ -164,7 +167,7 @@ impl<'a> LevenbergMarquardt<'a> {
     /// Returns the predicted decrease below which the search ends.
     fn least_decrease(&self, problem: &Problem<'_>) -> f64 {
         let free = problem.parameters.free_count();
-        let degrees_of_freedom = problem.observation_rows().saturating_sub(free).max(1);
+        let degrees_of_freedom = self.n_rows.saturating_sub(free).max(1);
         self.options.decrease_below * self.model.observation_cost / degrees_of_freedom as f64
     }
 
@@ -238,9 +241,8 @@ impl<'a> LevenbergMarquardt<'a> {
         }
         let below = self.least_decrease(problem);
         let Self { structure, threads, model, trial, steps, gradient, trial_values, .. } = self;
-        let n_rows = problem.observation_rows();
         let cost = model.cost();
-        let rms = (cost / n_rows.max(1) as f64).sqrt();
+        let rms = (cost / self.n_rows.max(1) as f64).sqrt();
         if rms < EXACT_RMS {
             return Err(Stop::Exact { rms, below: EXACT_RMS });
         }
