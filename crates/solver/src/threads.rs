@@ -1,6 +1,7 @@
 //! Threads that share out work, and the room that each of them works in.
 
-use std::sync::{Mutex, PoisonError};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::available_parallelism;
 
 use rayon::ThreadPool;
@@ -12,13 +13,16 @@ use crate::problem::Scratch;
 /// Below this many rows, starting threads costs more than they save.
 const ROWS_WORTH_THREADS: usize = 20_000;
 
+/// The pools that there are, by their number of threads: starting threads takes about as long as a small problem.
+static POOLS: Mutex<BTreeMap<usize, Arc<ThreadPool>>> = Mutex::new(BTreeMap::new());
+
 /// Threads that take the items of a list one at a time.
 ///
 /// What becomes of an item does not depend on who takes it, so that the number of threads cannot show.
 #[derive(Debug)]
 pub struct Threads {
     /// `None` where the caller does it all.
-    pool: Option<ThreadPool>,
+    pool: Option<Arc<ThreadPool>>,
     /// The room of each thread, kept from list to list.
     scratch: Vec<Mutex<Scratch>>,
 }
@@ -33,8 +37,7 @@ impl Threads {
         if threads == 1 || rows < ROWS_WORTH_THREADS {
             return Ok(Self::default());
         }
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-        let pool = pool.map_err(|error| Error::Threads { threads, problem: error.to_string() })?;
+        let pool = pool(threads)?;
         let scratch = (0..pool.current_num_threads()).map(|_| Mutex::default()).collect();
         Ok(Self { pool: Some(pool), scratch })
     }
@@ -77,6 +80,18 @@ impl Threads {
         }
         self.run(|| items.into_par_iter().map(work).collect())
     }
+}
+
+/// Returns the pool of so many threads, which are started if they are not there.
+fn pool(threads: usize) -> Result<Arc<ThreadPool>, Error> {
+    let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(pool) = pools.get(&threads) {
+        return Ok(pool.clone());
+    }
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    let pool = Arc::new(pool.map_err(|error| Error::Threads { threads, problem: error.to_string() })?);
+    pools.insert(threads, pool.clone());
+    Ok(pool)
 }
 
 /// The caller's own thread alone.
