@@ -72,7 +72,7 @@ fn main() {
         "{}",
         json!({
             "tool": "boresight", "version": env!("CARGO_PKG_VERSION"), "threads": threads,
-            "cpu_s": cpu, "cpu_s_each": cpu_s, "wall_s": wall, "wall_s_least": wall_s[0],
+            "cpu_s": cpu, "cpu_s_each": cpu_s, "wall_s": wall,
             "cost": solution.cost, "iterations": solution.counters.iterations,
             "evaluations": solution.counters.evaluations,
             "rejected_steps": solution.counters.rejected_steps,

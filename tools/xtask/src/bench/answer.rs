@@ -19,8 +19,6 @@ pub(crate) struct Answer {
     pub corners: Option<f64>,
     /// The median wall time of all solves.
     pub wall_s: Option<f64>,
-    /// The least wall time of all solves.
-    pub wall_s_least: Option<f64>,
     /// The least CPU time of an iteration, setting up not counted.
     pub iteration_s: Option<f64>,
     /// The operations that an iteration cannot do without.

@@ -18,6 +18,9 @@ pub(crate) const REPEAT_ALONE: usize = 15;
 /// The problem on which two threads are held against one.
 const THREADS_PROBLEM: &str = "8x200";
 
+/// How often that is done: what neighbours of a virtual machine do to one of its cores is more than what is looked for.
+const THREADS_ROUNDS: usize = 15;
+
 /// What was measured.
 pub(crate) struct Measured {
     pub rounds: usize,
@@ -53,7 +56,7 @@ pub(crate) fn measure(solvers: &[Solver], problems: &[Problem], rounds: usize) -
             alone: Vec::new(),
         })
         .collect();
-    let mut threads: Option<Threads> = None;
+    let ours = solvers.first().context("there is no solver")?;
     for round in 0..rounds {
         for (problem, measured) in problems.iter().zip(&mut measured) {
             eprintln!("bench: round {} of {rounds}, {}", round + 1, problem.label);
@@ -62,27 +65,29 @@ pub(crate) fn measure(solvers: &[Solver], problems: &[Problem], rounds: usize) -
                     answers.push(solve(solver, problem, problem.repeat, 1, round == 0)?);
                 }
             }
-            let ours = solvers.first().context("there is no solver")?;
             measured.alone.push(solve(ours, problem, REPEAT_ALONE, 1, false)?);
-            if problem.label == THREADS_PROBLEM {
-                let threads = threads.get_or_insert_with(|| Threads {
-                    label: problem.label,
-                    one: Vec::new(),
-                    two: Vec::new(),
-                    apart: Vec::new(),
-                });
-                threads.one.push(solve(ours, problem, REPEAT_ALONE, 1, false)?);
-                threads.two.push(solve(ours, problem, REPEAT_ALONE, 2, false)?);
-                let alone = || solve(ours, problem, REPEAT_ALONE, 1, false);
-                let [first, second] = thread::scope(|scope| {
-                    let other = scope.spawn(alone);
-                    [alone(), other.join().unwrap_or_else(|_| bail!("a process was not waited for"))]
-                });
-                threads.apart.push([first?, second?]);
-            }
         }
     }
+    let threads = problems.iter().find(|problem| problem.label == THREADS_PROBLEM);
+    let threads = threads.map(|problem| measure_threads(ours, problem)).transpose()?;
     Ok(Measured { rounds, problems: measured, threads })
+}
+
+/// Solves a problem with one thread, with two, and in two processes at once, in turns.
+fn measure_threads(ours: &Solver, problem: &Problem) -> anyhow::Result<Threads> {
+    let mut threads = Threads { label: problem.label, one: Vec::new(), two: Vec::new(), apart: Vec::new() };
+    for round in 0..THREADS_ROUNDS {
+        eprintln!("bench: threads, round {} of {THREADS_ROUNDS}, {}", round + 1, problem.label);
+        let alone = || solve(ours, problem, REPEAT_ALONE, 1, false);
+        threads.one.push(alone()?);
+        threads.two.push(solve(ours, problem, REPEAT_ALONE, 2, false)?);
+        let [first, second] = thread::scope(|scope| {
+            let other = scope.spawn(alone);
+            [alone(), other.join().unwrap_or_else(|_| bail!("a process was not waited for"))]
+        });
+        threads.apart.push([first?, second?]);
+    }
+    Ok(threads)
 }
 
 fn solve(

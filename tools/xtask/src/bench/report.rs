@@ -68,6 +68,11 @@ pub(crate) fn report(measured: &Measured, missing: &[Missing], load: &str) -> Re
         ),
     ];
     if let Some(threads) = &measured.threads {
+        parts.push(format!(
+            "Two threads: {} rounds of one thread, two, and two processes at once, {REPEAT_ALONE} solves each; medians,\n\
+             and of the gains those within a round.\n",
+            threads.one.len()
+        ));
         parts.push(threads_table(threads, &mut differences));
     }
     Report { text: parts.join("\n"), differences }
@@ -81,8 +86,8 @@ fn conditions(rounds: usize, load: &str, versions: &[String]) -> String {
     let cores = std::thread::available_parallelism().map_or(0, |n| n.get());
     format!(
         "{model}, {cores} cores, load average {load} before the start. Rounds: {rounds}, interleaved; each process solves {REPEAT} times\n\
-         (a splined pair once) from the stored seed and reports its median; the first table shows medians over the rounds. The others\n\
-         hold Boresight against the machine: the least times of {REPEAT_ALONE} solves a round, and the machine's best peak,\n\
+         (a splined pair once) from the stored seed and reports its median; the first table shows medians over the rounds. The second\n\
+         holds Boresight against the machine: the least times of {REPEAT_ALONE} solves a round, and the machine's best peak,\n\
          since neighbours on the host slow the two down unequally. One thread unless said otherwise. {}.\n",
         versions.join(", ")
     )
@@ -156,18 +161,21 @@ fn least(numbers: impl Iterator<Item = Option<f64>>) -> Option<f64> {
 }
 
 fn threads_table(threads: &Threads, differences: &mut Vec<String>) -> String {
-    let wall = |answers: &[Answer]| least(answers.iter().map(|answer| answer.wall_s_least));
+    let wall = |answers: &[Answer]| median(answers.iter().filter_map(|answer| answer.wall_s).collect());
     let cost = |answers: &[Answer]| answers.first().and_then(|answer| answer.cost);
-    let gain = wall(&threads.one).zip(wall(&threads.two)).map(|(one, two)| one / two);
+    // Of the same round, as the machine is not the same in another.
+    let ratios = |others: Vec<Option<f64>>| {
+        let ratio = |(one, other): (&Answer, Option<f64>)| Some(one.wall_s? / other?);
+        median(threads.one.iter().zip(others).filter_map(ratio).collect())
+    };
+    let gain = ratios(threads.two.iter().map(|answer| answer.wall_s).collect());
+    let both_s = |[a, b]: &[Answer; 2]| Some((a.wall_s? + b.wall_s?) / 2.0);
+    let machine = ratios(threads.apart.iter().map(both_s).collect()).map(|ratio| 2.0 * ratio);
     let cell = |value: Option<f64>| value.map_or("-".to_owned(), significant);
     let is_same = cost(&threads.one).map(f64::to_bits) == cost(&threads.two).map(f64::to_bits);
     if !is_same {
         differences.push(format!("{}: Boresight's cost differs with the number of threads", threads.label));
     }
-    // What each of two did while the other ran too, so medians.
-    let alone_s = median(threads.one.iter().filter_map(|answer| answer.wall_s).collect());
-    let apart_s = median(threads.apart.iter().flatten().filter_map(|answer| answer.wall_s).collect());
-    let machine = alone_s.zip(apart_s).map(|(alone, apart)| 2.0 * alone / apart);
     markdown(
         &["threads", "wall ms, one", "wall ms, two", "gain", "same bits", "gain of two processes at once"],
         &[vec![
