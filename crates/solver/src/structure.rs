@@ -16,7 +16,13 @@ pub(crate) const HELD: u32 = u32::MAX;
 
 /// The parts of the work that threads take one at a time. Their number depends on the problem only,
 /// so that sums are always formed in the same order.
-const MAX_CHUNKS: usize = 16;
+const MAX_CHUNKS: usize = 32;
+
+/// Fewer rows are not worth a part.
+const ROWS_PER_CHUNK: usize = 2_000;
+
+/// The parts of what elimination sums, each of which is as large as the reduced system.
+const MAX_SCHUR_CHUNKS: usize = 8;
 
 /// The same where terms with local support share sums that are longer than their work.
 const MAX_LOCAL_CHUNKS: usize = 4;
@@ -472,11 +478,12 @@ impl Structure {
         };
         let weights: Vec<usize> = self.groups.iter().map(rows).collect();
         let has_local = self.signatures.iter().any(|signature| signature.local.is_some());
-        self.chunks = cut(&weights, if has_local { MAX_LOCAL_CHUNKS } else { MAX_CHUNKS });
+        let most = if has_local { MAX_LOCAL_CHUNKS } else { MAX_CHUNKS };
+        self.chunks = cut(&weights, (weights.iter().sum::<usize>() / ROWS_PER_CHUNK).clamp(1, most));
         let weights: Vec<usize> =
             self.groups.iter().map(|group| group.columns.len() * group.columns.len() + 100).collect();
         let room = if self.sparse.is_some() { MAX_SPARSE_PARTIAL_SUM } else { MAX_PARTIAL_SUM };
-        let n_sums = (room / self.n_entries().max(1)).clamp(2, MAX_CHUNKS / 2);
+        let n_sums = (room / self.n_entries().max(1)).clamp(2, MAX_SCHUR_CHUNKS);
         if self.groups.iter().any(|group| group.eliminated.is_some()) {
             self.schur_chunks = cut(&weights, n_sums);
         }
