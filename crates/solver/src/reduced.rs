@@ -10,6 +10,12 @@ use crate::pattern::NOWHERE;
 use crate::sparse::{SparseInverse, SparseSystem};
 use crate::step::row_stride;
 use crate::structure::{HELD, Structure};
+use crate::threads::Threads;
+
+/// Columns, or entries of a sparse system, that a thread subtracts from at a time: what it reads of each part stays in
+/// the nearest cache.
+const COLUMNS_AT_ONCE: usize = 16;
+const ENTRIES_AT_ONCE: usize = 2048;
 
 /// A symmetric system, scaled to a unit diagonal and factored.
 pub(crate) struct Reduced {
@@ -79,12 +85,13 @@ impl Reduced {
     }
 
     /// Adds up the system: the sums over terms, the damping, and less what elimination subtracts.
-    pub(crate) fn assemble<'p>(
+    pub(crate) fn assemble(
         &mut self,
         structure: &Structure,
         sums: &ReducedSums,
         damping: f64,
-        eliminated: impl Iterator<Item = (&'p [f64], &'p [f64])>,
+        eliminated: &[(&[f64], &[f64])],
+        threads: &Threads,
     ) {
         self.gradient.copy_from_slice(&sums.gradient);
         match &mut self.system {
@@ -105,29 +112,31 @@ impl Reduced {
             }
         }
         let (n, stride) = (self.n, row_stride(self.n));
-        for (parts, gradient) in eliminated {
-            match &mut self.system {
-                // The upper triangle by rows is the lower triangle by columns, which is faer's order.
-                System::Dense(matrix, _) => {
-                    for row in 0..n {
-                        let column = &mut matrix.col_as_slice_mut(row)[row..];
-                        for (entry, part) in
-                            column.iter_mut().zip(&parts[row * stride + row..row * stride + n])
-                        {
-                            *entry -= part;
+        match &mut self.system {
+            // The upper triangle by rows is the lower triangle by columns, which is faer's order.
+            System::Dense(matrix, _) => {
+                let columns =
+                    matrix.as_mut().col_iter_mut().filter_map(|column| column.try_as_col_major_mut());
+                let mut columns: Vec<&mut [f64]> = columns.map(|column| column.as_slice_mut()).collect();
+                let mut bands: Vec<&mut [&mut [f64]]> = columns.chunks_mut(COLUMNS_AT_ONCE).collect();
+                threads.for_each(&mut bands, |band, columns| {
+                    for (parts, _) in eliminated {
+                        for (k, column) in columns.iter_mut().enumerate() {
+                            let row = band * COLUMNS_AT_ONCE + k;
+                            subtract(&mut column[row..], &parts[row * stride + row..row * stride + n]);
                         }
                     }
-                }
-                System::Sparse(system) => {
-                    for (entry, part) in system.values.iter_mut().zip(parts) {
-                        *entry -= part;
-                    }
-                }
+                });
             }
-            for (entry, part) in self.gradient.iter_mut().zip(gradient) {
-                *entry -= part;
+            System::Sparse(system) => {
+                let mut bands: Vec<&mut [f64]> = system.values.chunks_mut(ENTRIES_AT_ONCE).collect();
+                threads.for_each(&mut bands, |band, entries| {
+                    let first = band * ENTRIES_AT_ONCE;
+                    eliminated.iter().for_each(|(parts, _)| subtract(entries, &parts[first..]));
+                });
             }
         }
+        eliminated.iter().for_each(|(_, gradient)| subtract(&mut self.gradient, gradient));
         for (column, diagonal) in self.diagonal.iter_mut().enumerate() {
             *diagonal = match &self.system {
                 System::Dense(matrix, _) => matrix[(column, column)],
@@ -268,6 +277,13 @@ impl System {
             }
             System::Sparse(system) => system.solve(x),
         }
+    }
+}
+
+/// Subtracts `parts` from as many entries as there are.
+fn subtract(entries: &mut [f64], parts: &[f64]) {
+    for (entry, part) in entries.iter_mut().zip(parts) {
+        *entry -= part;
     }
 }
 

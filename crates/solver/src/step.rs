@@ -100,8 +100,9 @@ impl StepSolver {
         if self.partial_sums.iter().any(|sum| sum.failed) {
             return false;
         }
-        let parts = self.partial_sums.iter().map(|sum| (&*sum.matrix, sum.gradient.as_slice()));
-        self.reduced.assemble(structure, &model.reduced, damping, parts);
+        let parts: Vec<(&[f64], &[f64])> =
+            self.partial_sums.iter().map(|sum| (&*sum.matrix, sum.gradient.as_slice())).collect();
+        self.reduced.assemble(structure, &model.reduced, damping, &parts, threads);
         true
     }
 
