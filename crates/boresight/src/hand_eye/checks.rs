@@ -100,6 +100,16 @@ pub fn check_motions(base_from_flange: &[Pose], axes: RobotAxes) -> Result<Vec<F
             ));
         }
     }
+    if axes == RobotAxes::Four && second >= LITTLE_SECOND_AXIS {
+        let message = format!(
+            "the robot is said to have four axes, and turned about a second one {second:.2} times as much as about the first"
+        );
+        let fix = "Leave out axes and height_m in [robot]: turns about several axes tell the height. If it has four, its \
+                   poses are misread: `boresight robot poses` tries all readings."
+            .to_owned();
+        let limit = LITTLE_SECOND_AXIS;
+        findings.push(finding("robot-more-axes", Severity::Caution, message, second, limit, fix));
+    }
     if spread.distinct < FEW_POSES {
         let message = format!("{} distinct poses leave little to check the result against", spread.distinct);
         let fix = format!("Add {} poses, turned about different axes.", FEW_POSES - spread.distinct);
@@ -202,6 +212,14 @@ pub const ROBOT_CODES: &[(&str, &str)] = &[
          `boresight robot poses` tries all readings.",
     ),
     (
+        "robot-more-axes",
+        "What it means: axes = 4 says that the robot turns about its vertical axis only, and its poses turn about others too.\n\n\
+         Why it matters: of four axes the height is not asked for, although these poses would tell it. If the robot has four\n\
+         after all, its poses are misread.\n\n\
+         How to fix it: leave out axes and height_m in [robot]; or find the right reading of the poses with\n\
+         `boresight robot poses`.",
+    ),
+    (
         "robot-no-rotation",
         "What it means: the robot hardly turned between poses.\n\n\
          Why it matters: motions without rotation tell the orientation of the camera on the flange and nothing of its\n\
@@ -301,7 +319,9 @@ mod tests {
         ] {
             assert_eq!(refused(&poses, RobotAxes::Six).as_deref(), code);
         }
-        assert_eq!(refused(&poses(10, |i| [0.0, 0.0, 0.2 * i]), RobotAxes::Four), None);
+        let more = check_motions(&poses(10, turning), RobotAxes::Four).unwrap();
+        assert_eq!(more.iter().map(|finding| finding.code.as_str()).collect::<Vec<_>>(), ["robot-more-axes"]);
+        assert!(check_motions(&poses(10, |i| [0.0, 0.0, 0.2 * i]), RobotAxes::Four).unwrap().is_empty());
         let few = check_motions(&poses(5, turning), RobotAxes::Six).unwrap();
         assert_eq!(few.iter().map(|finding| finding.code.as_str()).collect::<Vec<_>>(), ["robot-few-poses"]);
     }
