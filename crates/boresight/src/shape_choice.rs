@@ -43,7 +43,7 @@ pub(crate) fn choose_shape(
         })
         .collect();
     let cameras: Vec<(CameraId, Model)> = dataset.cameras.ids().zip(models.iter().copied()).collect();
-    let mut tried: Vec<Vec<Option<ViewErrors>>> = cameras
+    let mut tried: Vec<(&str, Vec<Option<ViewErrors>>)> = cameras
         .par_iter()
         .map(|&(camera, model)| {
             let lens = known.iter().find(|(id, _)| *id == camera).map(|(_, lens)| lens);
@@ -61,19 +61,29 @@ pub(crate) fn choose_shape(
                 let (alone, fit) = fit.as_ref()?;
                 Trial::new(&without(alone, &outliers), fit).ok().map(|trial| trial.views)
             };
-            fits.par_iter().map(trial).collect()
+            (name, fits.par_iter().map(trial).collect())
         })
         .collect();
     // A camera that saw too little even for a bend along each side tells nothing of shapes.
-    tried.retain(|by_shape| by_shape.iter().take(2).all(Option::is_some));
+    tried.retain(|(_, by_shape)| by_shape.iter().take(2).all(Option::is_some));
     // The views of all cameras one after another, where all cameras have them.
     let all = |which: usize| -> Option<ViewErrors> {
-        let views: Option<Vec<&ViewErrors>> = tried.iter().map(|by_shape| by_shape[which].as_ref()).collect();
+        let views: Option<Vec<&ViewErrors>> =
+            tried.iter().map(|(_, by_shape)| by_shape[which].as_ref()).collect();
         Some(views?.into_iter().flatten().copied().collect())
     };
     let views: Vec<(Shape, ViewErrors)> =
         shapes.iter().enumerate().filter_map(|(which, &shape)| Some((shape, all(which)?))).collect();
-    select(&views)
+    let mut selection = select(&views);
+    for (which, shape) in shapes.iter().enumerate() {
+        let without = tried.iter().filter(|(_, by_shape)| by_shape[which].is_none());
+        let names: Vec<&str> = without.map(|(name, _)| *name).collect();
+        if !names.is_empty() {
+            let (n, names) = (shape.coefficient_count(), names.join(", "));
+            selection.why += &format!("; {n} were not tried, as {names} saw too little for them");
+        }
+    }
+    selection
 }
 
 /// Chooses by the errors of views that took no part.
