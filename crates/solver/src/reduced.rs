@@ -118,6 +118,7 @@ impl Reduced {
                 let columns =
                     matrix.as_mut().col_iter_mut().filter_map(|column| column.try_as_col_major_mut());
                 let mut columns: Vec<&mut [f64]> = columns.map(|column| column.as_slice_mut()).collect();
+                assert_eq!(columns.len(), n, "the matrix lies column by column");
                 let mut bands: Vec<&mut [&mut [f64]]> = columns.chunks_mut(COLUMNS_AT_ONCE).collect();
                 threads.for_each(&mut bands, |band, columns| {
                     for (parts, _) in eliminated {

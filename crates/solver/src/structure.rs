@@ -299,20 +299,21 @@ impl Structure {
         let blocks = &problem.parameters.blocks;
         let is_eliminated = |block: usize| blocks[block].elimination == Elimination::First;
         // Most groups see what another sees, and their terms lie as those of the first one.
-        let mut alike: BTreeMap<Vec<usize>, usize> = BTreeMap::new();
+        let mut first_like: BTreeMap<Vec<usize>, usize> = BTreeMap::new();
         let mut signatures_of: BTreeMap<Vec<usize>, Vec<usize>> = BTreeMap::new();
         // Where each reduced column is in the coupling of the group at hand.
         let mut places: Vec<Option<u32>> = vec![None; self.n_reduced];
         for (eliminated, term_idxs) in members(problem) {
-            if let Some(likeness) = likeness(problem, &term_idxs, &supports).filter(|_| eliminated.is_some())
-            {
-                match alike.entry(likeness) {
+            if let Some(likeness) = eliminated.and_then(|_| likeness(problem, &term_idxs, &supports)) {
+                match first_like.entry(likeness) {
                     Entry::Occupied(first) => {
                         self.place_like(*first.get(), eliminated, &term_idxs);
                         continue;
                     }
-                    Entry::Vacant(place) => *place.insert(self.groups.len()),
-                };
+                    Entry::Vacant(place) => {
+                        place.insert(self.groups.len());
+                    }
+                }
             }
             let reduced_blocks = |term_idx: usize| {
                 problem.terms[term_idx]
