@@ -24,6 +24,12 @@ pub enum RobotError {
         /// The camera.
         name: String,
     },
+    /// Stereo of one camera, which was not moved.
+    #[error("a point is found from the pixels of two cameras or more, and {name} is one")]
+    OneCamera {
+        /// The camera.
+        name: String,
+    },
     /// An option has a value that cannot be.
     #[error("{option} is {value}: {need}")]
     BadOption {
@@ -94,6 +100,7 @@ impl RobotError {
         match self {
             Self::NoSuchCamera { .. }
             | Self::NoPose { .. }
+            | Self::OneCamera { .. }
             | Self::BadOption { .. }
             | Self::AboveCamera { .. } => ErrorKind::Usage,
             _ => ErrorKind::Solve,
@@ -104,6 +111,9 @@ impl RobotError {
     pub fn hint(&self) -> Option<String> {
         let text = match self {
             Self::NoSuchCamera { name, .. } if name.is_empty() => "say which one with --camera NAME",
+            Self::OneCamera { .. } => {
+                "name another camera too, or tell with --moved where this one was moved to"
+            }
             Self::AboveCamera { .. } => {
                 "check the unit of height_mm, which counts from the plane of the touches"
             }

@@ -1,5 +1,7 @@
 //! Points from the pixels of several cameras of a calibration, or of one that moved: Eqs 8.17 to 8.22.
 
+use std::collections::BTreeSet;
+
 use boresight_adjust::{Sight, SightedPoint, sighted_point};
 use boresight_camera::textbook::stereo::{Rectified, StereoPoint};
 use boresight_geometry::nalgebra::DMatrix;
@@ -55,8 +57,12 @@ impl<'a> Stereo<'a> {
         } else {
             names.iter().map(|name| rig.camera(Some(name))).collect::<Result<_, _>>()?
         };
-        if chosen.len() < 2 {
-            return Err(RobotError::TooFew { what: "cameras", found: chosen.len(), need: 2 }.into());
+        let names: BTreeSet<&str> = chosen.iter().map(|camera| camera.name.as_str()).collect();
+        if names.len() < 2 {
+            return Err(RobotError::OneCamera {
+                name: names.first().copied().unwrap_or_default().to_owned(),
+            }
+            .into());
         }
         let place = |camera: &'a NamedCamera| match camera.cam_from_rig {
             Some(cam_from_ref) => Ok(Place { camera, cam_from_ref, is_calibrated: true }),

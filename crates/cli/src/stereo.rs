@@ -48,12 +48,6 @@ pub(crate) fn run(arguments: &StereoArguments) -> Result<ExitCode, Failure> {
     }
     let rig = KnownRig::read(&arguments.result)?;
     let stereo = if arguments.moved.is_empty() {
-        if let [name] = &arguments.cameras[..] {
-            let message =
-                format!("--cameras {name}: a point is found from the pixels of two cameras or more");
-            let hint = "name another camera, or tell with --moved where this one was moved to";
-            return Err(Failure::new(Reason::Usage, message).with_hint(hint));
-        }
         Stereo::of_cameras(&rig, &arguments.cameras)?
     } else {
         let poses: Vec<Pose> = arguments.moved.iter().map(|text| pose(text)).collect::<Result<_, _>>()?;

@@ -266,8 +266,11 @@ fn stereo_finds_points_with_sigmas() {
         assert_eq!(refused.code, Some(2), "{}", refused.stderr);
         assert!(refused.stderr.contains(part), "{}", refused.stderr);
     }
-    let alone = boresight_with_input(folder.path(), &["stereo", "out", "--cameras", "left"], "300 200\n");
-    assert!(alone.code == Some(2) && alone.stderr.contains("two cameras or more"), "{}", alone.stderr);
+    for cameras in ["left", "left,left"] {
+        let flags = ["stereo", "out", "--cameras", cameras];
+        let alone = boresight_with_input(folder.path(), &flags, "300 200\n");
+        assert!(alone.code == Some(2) && alone.stderr.contains("left is one"), "{}", alone.stderr);
+    }
     let bad = boresight_with_input(folder.path(), &["stereo", "out"], "1 2 3\n");
     assert!(bad.code == Some(3) && bad.stderr.contains("4 are needed"), "{}", bad.stderr);
     let swapped = pairs[0].split(' ').collect::<Vec<_>>();
