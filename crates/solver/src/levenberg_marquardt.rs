@@ -64,8 +64,9 @@ pub struct Counters {
 /// The search.
 pub(crate) struct LevenbergMarquardt<'a> {
     options: &'a SolveOptions,
-    /// The number of rows that are observations.
+    /// The number of rows that are observations, and by how many they exceed what is free.
     n_rows: usize,
+    degrees_of_freedom: usize,
     structure: Structure,
     threads: &'a Threads,
     model: Linearization,
@@ -98,9 +99,11 @@ impl<'a> LevenbergMarquardt<'a> {
         options: &'a SolveOptions,
     ) -> Result<Self, Error> {
         let structure = Structure::new(problem, values);
+        let n_rows = problem.observation_rows();
         let mut search = Self {
             options,
-            n_rows: problem.observation_rows(),
+            n_rows,
+            degrees_of_freedom: n_rows.saturating_sub(problem.parameters.free_count()).max(1),
             threads,
             model: Linearization::new(&structure),
             trial: Linearization::new(&structure),
@@ -165,10 +168,8 @@ impl<'a> LevenbergMarquardt<'a> {
     }
 
     /// Returns the predicted decrease below which the search ends.
-    fn least_decrease(&self, problem: &Problem<'_>) -> f64 {
-        let free = problem.parameters.free_count();
-        let degrees_of_freedom = self.n_rows.saturating_sub(free).max(1);
-        self.options.decrease_below * self.model.observation_cost / degrees_of_freedom as f64
+    fn least_decrease(&self) -> f64 {
+        self.options.decrease_below * self.model.observation_cost / self.degrees_of_freedom as f64
     }
 
     /// Takes one step along the kept model, or returns `None` if it serves no more.
@@ -182,7 +183,7 @@ impl<'a> LevenbergMarquardt<'a> {
             self.kept = Some(kept);
             return Some(Err(Stop::Cancelled));
         }
-        let below = self.least_decrease(problem);
+        let below = self.least_decrease();
         let Self { structure, model, threads, steps, .. } = self;
         let mut step = Vec::new();
         let predicted = kept.step(problem, structure, model, threads, steps, &mut step);
@@ -239,7 +240,7 @@ impl<'a> LevenbergMarquardt<'a> {
                 return Err(Stop::NoStep { damping: self.damping, above: MOST_DAMPING });
             }
         }
-        let below = self.least_decrease(problem);
+        let below = self.least_decrease();
         let Self { structure, threads, model, trial, steps, gradient, trial_values, .. } = self;
         let cost = model.cost();
         let rms = (cost / self.n_rows.max(1) as f64).sqrt();

@@ -18,14 +18,14 @@ pub(crate) const HELD: u32 = u32::MAX;
 /// so that sums are always formed in the same order.
 const MAX_CHUNKS: usize = 32;
 
+/// The same where terms with local support share sums that are longer than their work.
+const MAX_LOCAL_CHUNKS: usize = 4;
+
 /// Fewer rows are not worth a part.
 const ROWS_PER_CHUNK: usize = 2_000;
 
 /// The parts of what elimination sums, each of which is as large as the reduced system.
 const MAX_SCHUR_CHUNKS: usize = 8;
-
-/// The same where terms with local support share sums that are longer than their work.
-const MAX_LOCAL_CHUNKS: usize = 4;
 
 /// Beyond this many numbers, partial sums of the reduced system take fewer chunks instead of more memory.
 const MAX_PARTIAL_SUM: usize = 8 << 20;
