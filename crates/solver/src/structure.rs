@@ -167,6 +167,14 @@ pub(crate) struct Group {
     pub runs: Arc<[(usize, usize, usize)]>,
 }
 
+impl Group {
+    /// Returns how long it takes to eliminate its block, as measured, in multiply-adds of its outer product.
+    fn elimination_weight(&self) -> usize {
+        let n = self.columns.len();
+        self.eliminated.map_or(1, |_| n * n + 32 * n + 2_500)
+    }
+}
+
 impl Structure {
     /// Returns the structure of a problem, whose terms with local support are near `values`.
     pub(crate) fn new(problem: &Problem<'_>, values: &[f64]) -> Self {
@@ -481,8 +489,7 @@ impl Structure {
         let has_local = self.signatures.iter().any(|signature| signature.local.is_some());
         let most = if has_local { MAX_LOCAL_CHUNKS } else { MAX_CHUNKS };
         self.chunks = cut(&weights, (weights.iter().sum::<usize>() / ROWS_PER_CHUNK).clamp(1, most));
-        let weights: Vec<usize> =
-            self.groups.iter().map(|group| group.columns.len() * group.columns.len() + 100).collect();
+        let weights: Vec<usize> = self.groups.iter().map(Group::elimination_weight).collect();
         let room = if self.sparse.is_some() { MAX_SPARSE_PARTIAL_SUM } else { MAX_PARTIAL_SUM };
         let n_sums = (room / self.n_entries().max(1)).clamp(2, MAX_SCHUR_CHUNKS);
         if self.groups.iter().any(|group| group.eliminated.is_some()) {
