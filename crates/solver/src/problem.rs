@@ -316,7 +316,10 @@ impl<'a> GramMut<'a> {
 }
 
 /// Room for a term to work in, kept between evaluations so that nothing is allocated inside them.
+///
+/// No two share a cache line, nor two that are fetched together: threads that write to one wait for each other.
 #[derive(Debug, Default)]
+#[repr(align(128))]
 pub struct Scratch {
     /// Rows of `[J r]`, wherever the term wants them.
     pub rows: Aligned,
