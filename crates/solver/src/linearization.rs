@@ -127,7 +127,7 @@ impl Linearization {
         if let Some(failure) = self.chunks.iter().find_map(|chunk| chunk.failure) {
             return Err(failure);
         }
-        self.sum(problem, structure, values);
+        self.sum(problem, structure, values, threads);
         Ok(())
     }
 
@@ -137,40 +137,42 @@ impl Linearization {
     }
 
     /// Adds up the chunks, in order.
-    fn sum(&mut self, problem: &Problem<'_>, structure: &Structure, values: &[f64]) {
-        self.observation_cost = self.chunks.iter().map(|chunk| chunk.observation_cost).sum();
-        self.prior_cost = self.chunks.iter().map(|chunk| chunk.prior_cost).sum();
-        let reduced = &mut self.reduced;
-        for (idx, (sum, signature)) in reduced.signatures.iter_mut().zip(&structure.signatures).enumerate() {
+    fn sum(&mut self, problem: &Problem<'_>, structure: &Structure, values: &[f64], threads: &Threads) {
+        let Self { chunks, reduced, .. } = self;
+        self.observation_cost = chunks.iter().map(|chunk| chunk.observation_cost).sum();
+        self.prior_cost = chunks.iter().map(|chunk| chunk.prior_cost).sum();
+        threads.for_each(&mut reduced.signatures, |idx, sum| {
+            let signature = &structure.signatures[idx];
+            let parts = chunks.iter().map(|chunk| &chunk.signatures[idx]);
             if let Some(local) = &signature.local {
                 let term = problem.terms[local.term_idx].local();
-                let Some(term) = term else { continue };
+                let Some(term) = term else { return };
                 let mut total = vec![0.0; local.n_sums];
-                for chunk in &self.chunks {
-                    if let SignatureSums::Local(part) = &chunk.signatures[idx] {
+                for part in parts {
+                    if let SignatureSums::Local(part) = part {
                         add(&mut total, part);
                     }
                 }
                 term.expand(problem.parameters.at(values), &total, sum);
-                continue;
+                return;
             }
             sum.fill(0.0);
             if let Some(place) = &signature.composite {
                 let mut total = CompositeSums::new(place);
-                for chunk in &self.chunks {
-                    if let SignatureSums::Composite(part) = &chunk.signatures[idx] {
+                for part in parts {
+                    if let SignatureSums::Composite(part) = part {
                         total.add(part);
                     }
                 }
                 total.add_to(place, sum);
-                continue;
+                return;
             }
-            for chunk in &self.chunks {
-                if let SignatureSums::Plain(part) = &chunk.signatures[idx] {
+            for part in parts {
+                if let SignatureSums::Plain(part) = part {
                     add(sum, part);
                 }
             }
-        }
+        });
         reduced.gradient.fill(0.0);
         reduced.diagonal.fill(0.0);
         for (signature, sum) in structure.signatures.iter().zip(&reduced.signatures) {
