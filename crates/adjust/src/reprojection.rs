@@ -9,11 +9,12 @@ mod local;
 mod rolling;
 mod row_lens;
 
+use std::cell::RefCell;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use boresight_camera::{CameraModel, Model, ModelVisitor};
-use boresight_data::{Observation, Shape, Target};
+use boresight_data::{Id as _, Observation, PointId, Shape, Target};
 use boresight_geometry::{Matrix3, Pose, Scalar, Vector3};
 use boresight_solver::gram::{BLOCK, Previous, Row};
 use boresight_solver::lanes::{Lanes, MAX_LANES};
@@ -87,14 +88,15 @@ impl Weights {
 /// The layouts in use, which terms of like lenses and shapes share.
 #[derive(Debug, Default)]
 pub struct Layouts {
-    known: Mutex<BTreeMap<(usize, usize), Arc<CompositeColumns>>>,
+    known: RefCell<BTreeMap<(usize, usize), Arc<CompositeColumns>>>,
 }
 
 impl Layouts {
-    fn get(&self, n_params: usize, n_shape: usize) -> Arc<CompositeColumns> {
-        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+    /// Returns the layout of terms with a lens of this model and so many shape coefficients.
+    pub(crate) fn get(&self, model: Model, n_shape: usize) -> Arc<CompositeColumns> {
+        let n_params = n_whole_params(model);
         let layout = || Arc::new(layout(n_params, n_shape));
-        known.entry((n_params, n_shape)).or_insert_with(layout).clone()
+        self.known.borrow_mut().entry((n_params, n_shape)).or_insert_with(layout).clone()
     }
 }
 
@@ -117,15 +119,24 @@ fn layout(n_params: usize, n_shape: usize) -> CompositeColumns {
 impl TargetPoints {
     /// Returns the points of `target` that `observations` name, in their order.
     pub fn new(target: &Target, observations: &[Observation]) -> Self {
+        Self::named(target, observations.iter().map(|observation| observation.point))
+    }
+
+    /// Returns all points of `target`, in their order.
+    pub(crate) fn whole(target: &Target) -> Self {
+        Self::named(target, (0..target.point_count()).map(PointId::from_index))
+    }
+
+    fn named(target: &Target, points: impl ExactSizeIterator<Item = PointId> + Clone) -> Self {
         let axis = |axis: usize| {
-            padded(observations.iter().map(|observation| match axis {
-                0..3 => target.drawn_point(observation.point)[axis],
-                _ => target.shape_basis(observation.point)[axis - 3],
+            padded(points.clone().map(|point| match axis {
+                0..3 => target.drawn_point(point)[axis],
+                _ => target.shape_basis(point)[axis - 3],
             }))
         };
         let n_axes = 3 + target.shape.coefficient_count();
         let axes = std::array::from_fn(|i| if i < n_axes { axis(i) } else { Vec::new() });
-        Self { n_points: observations.len(), axes }
+        Self { n_points: points.len(), axes }
     }
 
     /// Returns where a point is on a target with these shape coefficients.
@@ -163,12 +174,28 @@ impl Reprojection {
         observations: &[Observation],
         layouts: &Layouts,
     ) -> Self {
+        let layout = layouts.get(model, shape.map_or(0, |(_, n)| n));
+        Self::laid_out(model, lens, shape, chain, points, observations, layout)
+    }
+
+    /// Does what [`new`](Self::new) does, with the layout of its model and shape.
+    pub(crate) fn laid_out(
+        model: Model,
+        lens: BlockId,
+        shape: Option<(BlockId, usize)>,
+        chain: Chain,
+        points: Arc<TargetPoints>,
+        observations: &[Observation],
+        layout: Arc<CompositeColumns>,
+    ) -> Self {
         assert_eq!(points.n_points, observations.len(), "each observation has its point");
         assert!(
             shape.is_none_or(|(_, n)| [FEW_SHAPE, MAX_SHAPE].contains(&n)),
             "a shape is one that a target may have"
         );
-        let mut blocks = vec![lens];
+        // Room that has to grow is locked by the allocator where it came from, which may be where another thread works.
+        let mut blocks = Vec::with_capacity(2 + chain.links.len());
+        blocks.push(lens);
         blocks.extend(shape.map(|(block, _)| block));
         blocks.extend(chain.blocks());
         let pixels =
@@ -181,7 +208,7 @@ impl Reprojection {
             n_shape,
             chain,
             points,
-            layout: layouts.get(n_whole_params(model), n_shape),
+            layout,
             row_times: None,
             pixels,
             weights: Weights::Uniform(0.0),

@@ -1,14 +1,15 @@
 //! A dataset and a scene as a problem: which block is what.
 
-use std::sync::{Arc, OnceLock};
+use std::cell::OnceCell;
+use std::sync::Arc;
 
 use boresight_camera::Model;
 use boresight_data::{CameraId, Dataset, FrameId, Id, IdVec, Observation, Scene, Shape, TargetId};
 use boresight_geometry::Pose;
 use boresight_geometry::nalgebra::DMatrix;
 use boresight_solver::{
-    BlockId, Elimination, JointBelief, JointPrior, Parameters, Problem, SparsePrior, Term, Threads, Values,
-    VectorPrior,
+    BlockId, CompositeColumns, Elimination, JointBelief, JointPrior, Parameters, Problem, SparsePrior, Term,
+    Threads, Values, VectorPrior,
 };
 
 use crate::chain::{CLOCK_COLUMN, Chain, LINE_DELAY_COLUMN, Link, clock, line_delay, seconds};
@@ -64,30 +65,23 @@ struct Plan {
     chain: Chain,
     /// Where each observation was seen, for a camera that takes one row after another of what moves.
     rows_from_middle: Option<Vec<f64>>,
-}
-
-/// What terms have in common.
-struct Shared {
-    /// The points of targets that are seen whole.
-    whole_boards: IdVec<TargetId, OnceLock<Arc<TargetPoints>>>,
-    layouts: Layouts,
+    /// What terms have in common: the points of the target, if as many as it has were seen, and the layout.
+    whole_target: Option<Arc<TargetPoints>>,
+    layout: Arc<CompositeColumns>,
 }
 
 impl Plan {
     /// Returns the view and its term.
-    fn term(self, dataset: &Dataset, shared: &Shared) -> Result<(usize, Reprojection), Error> {
-        let Self { view_idx, model, lens, shape, chain, rows_from_middle } = self;
+    fn term(self, dataset: &Dataset) -> Result<(usize, Reprojection), Error> {
+        let Self { view_idx, model, lens, shape, chain, rows_from_middle, whole_target, layout } = self;
         let view = &dataset.views[view_idx];
         let observations = &view.observations;
         check_sigmas(view_idx, observations)?;
-        let target = &dataset.targets[view.target];
-        let points = || Arc::new(TargetPoints::new(target, observations));
-        let is_whole = observations.len() == target.point_count()
-            && observations.iter().enumerate().all(|(idx, observation)| observation.point.index() == idx);
-        let points =
-            if is_whole { shared.whole_boards[view.target].get_or_init(points).clone() } else { points() };
-        let layouts = &shared.layouts;
-        let term = Reprojection::new(model, lens, shape, chain, points, observations, layouts);
+        let is_whole =
+            || observations.iter().enumerate().all(|(idx, observation)| observation.point.index() == idx);
+        let points = || Arc::new(TargetPoints::new(&dataset.targets[view.target], observations));
+        let points = whole_target.filter(|_| is_whole()).unwrap_or_else(points);
+        let term = Reprojection::laid_out(model, lens, shape, chain, points, observations, layout);
         Ok((
             view_idx,
             match rows_from_middle {
@@ -183,6 +177,10 @@ impl RigProblem {
         threads: usize,
     ) -> Result<(), Error> {
         let mut plans = Vec::with_capacity(dataset.views.len());
+        // What terms share is looked up here: threads that count up its uses at once wait for each other.
+        let whole_targets: IdVec<TargetId, OnceCell<_>> =
+            dataset.targets.iter().map(|_| OnceCell::new()).collect();
+        let layouts = Layouts::default();
         for (view_idx, view) in dataset.views.iter().enumerate() {
             let (Some(camera), Some(rig_camera)) =
                 (self.cameras[view.camera], &scene.rig.cameras[view.camera])
@@ -230,12 +228,24 @@ impl RigProblem {
             }
             let row = |seen: &Observation| rig_camera.rows_from_middle(seen.pixel[1]);
             let rows_from_middle = is_rolling.then(|| view.observations.iter().map(row).collect());
-            plans.push(Plan { view_idx, model, lens: camera.lens, shape, chain, rows_from_middle });
+            let target = &dataset.targets[view.target];
+            let whole_target = (view.observations.len() == target.point_count()).then(|| {
+                let whole = &whole_targets[view.target];
+                whole.get_or_init(|| Arc::new(TargetPoints::whole(target))).clone()
+            });
+            plans.push(Plan {
+                view_idx,
+                model,
+                lens: camera.lens,
+                shape,
+                chain,
+                rows_from_middle,
+                whole_target,
+                layout: layouts.get(model, shape.map_or(0, |(_, n)| n)),
+            });
         }
         let n_rows = plans.iter().map(|plan| 2 * dataset.views[plan.view_idx].observations.len()).sum();
-        let whole_boards = dataset.targets.iter().map(|_| OnceLock::new()).collect();
-        let shared = Shared { whole_boards, layouts: Layouts::default() };
-        let terms = Threads::new(threads, n_rows)?.map(plans, |plan| plan.term(dataset, &shared));
+        let terms = Threads::new(threads, n_rows)?.map(plans, |plan| plan.term(dataset));
         self.views = terms.into_iter().collect::<Result<_, _>>()?;
         Ok(())
     }
